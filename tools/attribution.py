@@ -184,7 +184,8 @@ def replayed(episodes: Iterable[EpisodeResult]) -> list[Attribution]:
     found: list[Attribution] = []
     for result in attribute(episodes, jobs=1):
         if not isinstance(result, Attribution):
-            raise RuntimeError(f"{result.episode.policy}, {result.episode.title}: {result.problem}")
+            episode, problem = result
+            raise RuntimeError(f"{episode.policy}, {episode.title}: {problem}")
         found.append(result)
     return found
 

@@ -52,7 +52,7 @@ def different_bytes(count: int, size: int, shifts: str = "", device: str | None 
         shifts: shifts with strengths.
         device: the device that draws the batch; None: numba-cuda's simulator.
     """
-    from magical_mj.batched.scenes import BatchScenes, Capacity
+    from magical_mj.batched.scenes import BatchScenes, capacity_for
     from magical_mj.batched.tables import episode_tables
 
     pairs, strengths = magical_mj.ENVIRONMENTS, parse_shifts(shifts)
@@ -66,7 +66,7 @@ def different_bytes(count: int, size: int, shifts: str = "", device: str | None 
             scenes.append(engine.scene)
             for view in ALL_VIEWS:
                 wanted[view].append(engine.render(view, size))
-    batch, seeds = BatchScenes.of(scenes, *Capacity.of(scenes)), [seed for *_, seed in drawn]
+    batch, seeds = BatchScenes.of(scenes, *capacity_for(scenes)), [seed for *_, seed in drawn]
     tables = episode_tables(batch, seeds, {name: int(strengths[name]) for name in strengths}, STEPS + 1)
     pictures = (_simulated if device is None else partial(_on_device, device))(batch, tables, size)
     differ = (np.stack(wanted[view]).reshape(out.shape) != out for view, out in pictures.items())

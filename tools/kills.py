@@ -61,10 +61,10 @@ sys.exit(main(sys.argv[1:]))
 SAMPLER: Final = """
 import pathlib, sys
 from magical_mj.utils import files
-from magical_mj.batched.scenes import Capacity, Sampler
+from magical_mj.batched.scenes import Sampler
 out, number = pathlib.Path(sys.argv[-1]), 0
 out.mkdir(parents=True, exist_ok=True)
-sampler = Sampler([("FindDupe", "All")] * 256, Capacity(10, 3), lambda scenes, seeds: {}, workers=2)
+sampler = Sampler([("FindDupe", "All")] * 256, (10, 3), lambda scenes, seeds: {}, workers=2)
 try:
     while number := number + 1:
         files.write(out / str(number), sampler.episodes(range(256))[1]["poses"].tobytes(), overwrite=True)

@@ -20,7 +20,7 @@ from magical_mj.actions import ACTIONS
 from magical_mj.batched.observations import Frames, Observation, States
 from magical_mj.batched.physics import Physics, check_device
 from magical_mj.batched.pictures import check_accelerator
-from magical_mj.batched.scenes import BatchScenes, Capacity, EpisodeArrays, Prepare, Sampler, sample
+from magical_mj.batched.scenes import BatchScenes, EpisodeArrays, Prepare, Sampler, capacity_of_environments, sample
 from magical_mj.batched.tables import constant_states, episode_tables
 from magical_mj.envs.gymnasium_env import check_options
 from magical_mj.envs.presets import preset_named
@@ -120,7 +120,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.steps = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
         self._running = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
 
-        capacity = Capacity.of_environments(pairs)
+        capacity = capacity_of_environments(pairs)
         in_states = observed.layout == "state"
         steps = 1 + int(self._horizons.max())
         self._prepare: Prepare = (

@@ -8,7 +8,7 @@ from dataclasses import astuple, dataclass, fields
 from functools import partial
 from itertools import groupby
 from operator import itemgetter
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,26 +31,21 @@ ABSENT: Final = -1
 """The shape of an empty block slot, and the colour of an empty region slot."""
 
 
-class Capacity(NamedTuple):
-    """The number of slots in each environment of a batch, at least one of each, since empty arrays have no memory."""
+Capacity = tuple[int, int]
+"""The numbers of slots for blocks and for regions in each environment of a batch. Each is at least 1, since empty
+arrays have no memory."""
 
-    blocks: int
-    regions: int
 
-    @classmethod
-    def of(cls, scenes: Sequence[Scene]) -> Capacity:
-        """The capacity that these scenes need."""
-        return cls(
-            blocks=max(1, *(len(scene.blocks) for scene in scenes)),
-            regions=max(1, *(len(scene.regions) for scene in scenes)),
-        )
+def capacity_for(scenes: Sequence[Scene]) -> Capacity:
+    """The capacity that these scenes need."""
+    return max(1, *(len(scene.blocks) for scene in scenes)), max(1, *(len(scene.regions) for scene in scenes))
 
-    @classmethod
-    def of_environments(cls, pairs: Sequence[Pair]) -> Capacity:
-        """The capacity that all scenes of these environments need."""
-        if any("count" in varied_axes(task_spec(task), variant) for task, variant in pairs):
-            return cls(MAX_BLOCKS, MAX_REGIONS)
-        return cls.of([sample_scene(task, "Demo", 0) for task in dict.fromkeys(task for task, _ in pairs)])
+
+def capacity_of_environments(pairs: Sequence[Pair]) -> Capacity:
+    """The capacity that all scenes of these environments need."""
+    if any("count" in varied_axes(task_spec(task), variant) for task, variant in pairs):
+        return MAX_BLOCKS, MAX_REGIONS
+    return capacity_for([sample_scene(task, "Demo", 0) for task in dict.fromkeys(task for task, _ in pairs)])
 
 
 def _check_simulated(scene: Scene) -> None:

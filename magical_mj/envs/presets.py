@@ -146,12 +146,13 @@ class FrameStack:
     """The number of moves of the window before it returns to the start of the buffer."""
 
     def __init__(self, frames: tuple[tuple[str, int], ...], size: int, depth: int, *, channels_first: bool) -> None:
-        count = depth * sum(number for _, number in frames)
+        self._channels, count = list[tuple[str, int, int]](), 0
+        for view, number in frames:
+            self._channels.append((view, count, count + depth * number))
+            count += depth * number
         self.has_history = any(number > 1 for _, number in frames)
         self.shape = (count, size, size) if channels_first else (size, size, count)
         self._channels_last = (1, 2, 0) if channels_first else (0, 1, 2)
-        ends = np.cumsum([depth * number for _, number in frames]).tolist()
-        self._channels = [(view, end - depth * number, end) for (view, number), end in zip(frames, ends, strict=True)]
         self._depth, self._size, self._shift = depth, size, depth * size * size if channels_first else depth
         self._memory = np.zeros(count * size * size + self.MOVES * self._shift, np.uint8)
         self._first = 0

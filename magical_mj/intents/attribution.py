@@ -78,12 +78,8 @@ class Attribution:
     remaining: float
 
 
-@dataclass(frozen=True)
-class Unexplained:
-    """An episode that cannot be attributed, and why."""
-
-    episode: EpisodeResult
-    problem: str
+Unexplained = tuple[EpisodeResult, str]
+"""An episode that cannot be attributed, and why."""
 
 
 @lru_cache(maxsize=RECENT)
@@ -165,7 +161,7 @@ def _attributed(
             first.extend(moved_blocks(engine.initial_scene, engine.scene))
 
     if problem := replay_problem(episode, engine, watch):
-        return Unexplained(episode, problem)
+        return episode, problem
     intent, initial, final = task_intent(episode.task), engine.initial_scene, engine.scene
     solved = episode.score == 1.0
     return Attribution(

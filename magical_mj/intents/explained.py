@@ -29,7 +29,6 @@ from magical_mj.intents.attribution import (
     FAILURES,
     Attribution,
     LastSolvable,
-    Unexplained,
     attribute,
     last_solvable_steps,
     shown_task,
@@ -98,10 +97,11 @@ def explain(
         raise SettingsError(f"--explain: no episode can be explained: {next(iter(found.problems), 'there are none')}")
     for done, result in enumerate(attribute(episodes, jobs=jobs), start=1):
         watch(done, len(episodes))
-        if isinstance(result, Unexplained):
-            found.problems[f"{result.episode.policy}, {result.episode.title}: {result.problem}"] += 1
-        else:
+        if isinstance(result, Attribution):
             found.attributions.append(result)
+        else:
+            episode, problem = result
+            found.problems[f"{episode.policy}, {episode.title}: {problem}"] += 1
     found.attributions.sort(key=lambda result: _order(result.episode))
     if lost:
         wanted = [group[:lost] for group in _grouped(_failed(found.attributions), *ENVIRONMENT).values()]

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
@@ -203,28 +203,21 @@ def read_answer(question: Question, text: str, *, english: bool = False) -> str 
     return _final_scene(question.scene, text[-MOST_CHARACTERS:][last.start(1) :])
 
 
-class _Poses(msgspec.Struct):
-    """Positions of moved objects."""
-
-    blocks: dict[str, tuple[float, float]] = {}
-    robot: tuple[float, float] | None = None
-
-
 def _final_scene(scene: Scene, text: str) -> Scene:
     start, end = text.find("{"), text.rfind("}")
     try:
-        poses = msgspec.json.decode(text[start : end + 1], type=_Poses, strict=False)
-        numbers = {int(number): place for number, place in poses.blocks.items()}
+        answer = msgspec.json.decode(text[start : end + 1], type=dict[str, Any])
+        moved = msgspec.convert(answer.get("blocks", {}), dict[int, tuple[float, float]], strict=False)
+        driven = msgspec.convert(answer.get("robot"), tuple[float, float] | None, strict=False)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         raise SettingsError(f"the answer is not the JSON that the question asks for: {error}") from None
-    unknown = sorted(set(numbers) - set(range(1, len(scene.blocks) + 1)))
+    unknown = sorted(set(moved) - set(range(1, len(scene.blocks) + 1)))
     if unknown:
         raise SettingsError(f"the new scene has the blocks 1 to {len(scene.blocks)}, not {unknown[0]}")
     blocks = [
-        (*numbers[number], block.angle) if number in numbers else block.pose
-        for number, block in enumerate(scene.blocks, 1)
+        (*moved[number], block.angle) if number in moved else block.pose for number, block in enumerate(scene.blocks, 1)
     ]
-    robot = scene.robot.pose if poses.robot is None else (*poses.robot, scene.robot.angle)
+    robot = scene.robot.pose if driven is None else (*driven, scene.robot.angle)
     try:
         return scene.moved(robot, blocks)
     except InvalidSceneError as error:

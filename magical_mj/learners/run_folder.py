@@ -9,6 +9,7 @@ import json
 import platform
 import shlex
 import sys
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
@@ -195,10 +196,12 @@ class Metrics:
 
     Attributes:
         pending: the number of updates since the last row.
+        seconds: the duration of the updates up to the last row.
     """
 
-    def __init__(self, folder: Path, update: int) -> None:
+    def __init__(self, folder: Path, update: int, seconds: float) -> None:
         self._path = folder / METRICS
+        self.seconds, self._started = seconds, time.monotonic() - seconds
         self._sums: dict[str, float] = {}
         self.pending = 0
         self._rows = [row for row in read_metrics(folder) if int(row["update"]) <= update]
@@ -212,12 +215,13 @@ class Metrics:
             self._sums[name] = self._sums.get(name, 0.0) + value
         self.pending += 1
 
-    def write(self, update: int, seconds: float, scores: Mapping[str, float]) -> dict[str, float]:
+    def write(self, update: int, scores: Mapping[str, float]) -> dict[str, float]:
         """Writes a row, and returns the means of the metrics since the last one."""
+        self.seconds = time.monotonic() - self._started
         means = {name: total / self.pending for name, total in self._sums.items()}
         self._sums, self.pending = {}, 0
         values = {**means, **{f"score {task}": score for task, score in scores.items()}}
-        row = {"update": str(update), "seconds": f"{seconds:.1f}"}
+        row = {"update": str(update), "seconds": f"{self.seconds:.1f}"}
         self._rows.append(row | {name: f"{value:.6g}" for name, value in values.items()})
         with _disk(self._path.parent):
             self._write()

@@ -6,7 +6,6 @@ import math
 import shlex
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -152,8 +151,7 @@ class _Training:
         """Completes the training and returns the policy."""
         if self._update == self._learner.updates:  # finished, but its policy is missing
             self._learner.save_policy(self._folder.path)
-        self._started = time.monotonic() - self._seconds
-        with closing(Metrics(self._folder.path, self._update)) as table:
+        with closing(Metrics(self._folder.path, self._update, self._seconds)) as table:
             whole = True  # no update is incomplete
             try:
                 while self._update < self._learner.updates:
@@ -166,8 +164,8 @@ class _Training:
                 if whole and self._update > self._saved:
                     self._recalibrate()
                     if table.pending:
-                        self._row(table, {})
-                    self._save()
+                        table.write(self._update, {})
+                    self._save(table.seconds)
                 raise
         return self._learner.policy()
 
@@ -188,9 +186,9 @@ class _Training:
             self._recalibrate()
         scores = self._learner.demo_scores(settings.episodes) if evaluation else {}
         row = save or scores or _due(self._update, updates, ROWS)
-        means = self._row(table, scores) if row else {}
+        means = table.write(self._update, scores) if row else {}
         if save:
-            self._save()
+            self._save(table.seconds)
         return Progress(self._update, updates, means, scores)
 
     def _recalibrate(self) -> None:
@@ -199,15 +197,11 @@ class _Training:
         if fault is not None:
             self._give_up(fault)
 
-    def _row(self, table: Metrics, scores: Mapping[str, float]) -> Mapping[str, float]:
-        self._seconds = time.monotonic() - self._started
-        return table.write(self._update, self._seconds, scores)
-
-    def _save(self) -> None:
+    def _save(self, seconds: float) -> None:
         learner, path = self._learner, self._folder.path
         if self._saved:  # before the checkpoint: a run with the last checkpoint counts as finished
             learner.save_policy(path)
-        self._folder.save(self._update, learner.updates, self._seconds, learner.device.type, learner.get_state())
+        self._folder.save(self._update, learner.updates, seconds, learner.device.type, learner.get_state())
         if not self._saved:  # after the checkpoint: a folder with a policy must have a checkpoint
             learner.save_policy(path)
         self._saved = self._update

@@ -24,7 +24,7 @@ from magical_mj import batched
 from magical_mj.batched import physics as physics_module
 from magical_mj.batched.environment import Arrays
 from magical_mj.batched.physics import Physics
-from magical_mj.batched.scenes import BatchScenes, Capacity, Sampler
+from magical_mj.batched.scenes import BatchScenes, Sampler, capacity_for
 from magical_mj.batched.tables import constant_states, episode_tables
 from magical_mj.envs.presets import PRESETS
 from magical_mj.scene import Scene
@@ -43,7 +43,7 @@ MIXED = [("MoveToRegion", "Demo"), ("FixColour", "All"), ("ClusterShape", "Count
 
 
 def arrays(scenes: list[Scene]) -> BatchScenes:
-    return BatchScenes.of(scenes, *Capacity.of(scenes))
+    return BatchScenes.of(scenes, *capacity_for(scenes))
 
 
 def table(scene: Scene) -> NDArray[np.float64]:
@@ -81,7 +81,7 @@ def test_one_action_in_every_environment() -> None:
 def test_ten_actions_and_what_is_alone_moves_alike() -> None:
     scenes = [magical_mj.sample_scene(*pair, 2) for pair in MIXED]
     physics, envs = Physics(arrays(scenes)), running(scenes)
-    alone = Physics(BatchScenes.of(scenes[1:2], *Capacity.of(scenes)))
+    alone = Physics(BatchScenes.of(scenes[1:2], *capacity_for(scenes)))
     for step in range(10):
         actions = torch.tensor([1, 10, 13, 4] if step < 6 else [3, 10, 1, 16])
         physics.step(actions)
@@ -394,7 +394,7 @@ def test_scenes_do_not_depend_on_who_samples_them() -> None:
     pairs, sampled = [("FindDupe", "All")] * 3, []
     prepare = partial(episode_tables, shifts={"palette": 2, "sensor": 3}, steps=3)
     for workers, order in ((0, [[0, 1, 2], [1], [0, 1, 2]]), (1, [[0, 1, 2], [1], [0, 1, 2]]), (0, [[1], [1], [0, 1]])):
-        sampler = Sampler(pairs, Capacity(10, 3), prepare, workers)
+        sampler = Sampler(pairs, (10, 3), prepare, workers)
         sampler.seed(7)
         sampled.append([sampler.episodes(worlds) for worlds in order])
         sampler.close()
@@ -409,7 +409,7 @@ def test_scenes_do_not_depend_on_who_samples_them() -> None:
 
 def test_workers_sample_ahead_after_given_seeds_too() -> None:
     pairs = [("MoveToRegion", "All")] * 2
-    here, ahead = (Sampler(pairs, Capacity(1, 1), partial(constant_states, start=False), n) for n in (0, 1))
+    here, ahead = (Sampler(pairs, (1, 1), partial(constant_states, start=False), n) for n in (0, 1))
     for sampler in (here, ahead):
         sampler.seed(3)
         sampler.episodes([0, 1], [8, 9])

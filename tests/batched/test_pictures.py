@@ -13,7 +13,7 @@ import torch
 import magical_mj
 from magical_mj.batched import tables
 from magical_mj.batched.pictures import Painter, check_accelerator
-from magical_mj.batched.scenes import BatchScenes, Capacity
+from magical_mj.batched.scenes import BatchScenes, capacity_for
 from magical_mj.batched.tables import episode_tables
 from magical_mj.observations import SEGMENTATIONS, VIEWS
 from magical_mj.scene import Scene
@@ -28,7 +28,7 @@ needs_numba_cuda = pytest.mark.skipif(find_spec("numba_cuda") is None, reason="n
 
 
 def batch(scenes: list[Scene]) -> BatchScenes:
-    return BatchScenes.of(scenes, *Capacity.of(scenes))
+    return BatchScenes.of(scenes, *capacity_for(scenes))
 
 
 def painted(scenes: BatchScenes) -> Painter:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import magical_mj
 from magical_mj.batched.physics import Physics
-from magical_mj.batched.scenes import BatchScenes, Capacity
+from magical_mj.batched.scenes import BatchScenes, capacity_for
 from magical_mj.scene import Scene
 
 BATCH = 60
@@ -61,7 +61,7 @@ def compare(states: int, steps: int, device: str) -> None:
             for action in held(rng, int(rng.integers((env.horizon or 1) - steps))):
                 env.step(action)
         scenes = [env.initial_scene for env in envs]
-        physics = Physics(BatchScenes.of(scenes, *Capacity.of(scenes)), device)
+        physics = Physics(BatchScenes.of(scenes, *capacity_for(scenes)), device)
         for world, env in enumerate(envs):
             take_over(physics, world, env.data)
         plans = np.array([held(rng, steps) for _ in envs])
@@ -111,7 +111,7 @@ def replay(tasks: Sequence[str], human: Path | None, count: int, device: str) ->
                 env.step(int(action))
             ours.append(env.score())
         scenes, length = [scene for scene, _ in cases], max(len(actions) for _, actions in cases)
-        arrays = BatchScenes.of(scenes, *Capacity.of(scenes))
+        arrays = BatchScenes.of(scenes, *capacity_for(scenes))
         physics = Physics(arrays, device)
         ends = np.zeros(len(cases))
         for step in range(length):
