@@ -39,7 +39,7 @@ from magical_mj.shifts.episode import Draws
 from magical_mj.shifts.registry import Shifts, shift_label
 from magical_mj.tasks.registry import TASKS, task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
-from magical_mj.utils.errors import InvalidSceneError, SettingsError, check_name, short_repr
+from magical_mj.utils.errors import SettingsError, check_name, short_repr
 from magical_mj.utils.imports import reference_to
 from magical_mj.variants import check_seed
 from magical_mj.wrappers import check_limit, vectors
@@ -387,8 +387,6 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         scene = start.get("scene")
         if isinstance(scene, str | bytes):
             scene = Scene.from_json(scene, trusted=[self.engine.setup.body])
-        elif scene is not None and not isinstance(scene, Scene):
-            raise InvalidSceneError(f'options["scene"] must be a Scene or its JSON, not {type(scene).__name__}')
         return scene, start.get("state"), start.get("variation")
 
     def _next_seed(self, seed: int | None) -> int:

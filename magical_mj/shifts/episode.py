@@ -17,9 +17,9 @@ from magical_mj.scene.geometry import check_scene
 from magical_mj.shifts.registry import METHODS, SHIFTS, shift_class
 from magical_mj.shifts.shift import GROUND_CELLS, GROUND_REACH, HISTORY, Frame, Picture, Shift, Values, draw, overrides
 from magical_mj.tasks.registry import task_spec
-from magical_mj.utils.errors import MagicalError, ShiftError, as_integer, short_repr
+from magical_mj.utils.errors import ShiftError, as_integer, short_repr
 from magical_mj.utils.frozen import FrozenDict
-from magical_mj.utils.imports import errors_of_task, with_location
+from magical_mj.utils.imports import errors_of_user
 
 SURROUNDINGS: Final = (231, 231, 234)
 """The colour around the arena, the same as in `assets.style`."""
@@ -65,12 +65,8 @@ class EpisodeShifts:
 
     def _call(self, name: str, method: str, *arguments: Any) -> Any:
         """Calls a method of a shift. This package's errors pass through, all others become a `ShiftError`."""
-        try:
+        with errors_of_user(f"{name}.{method} failed", ShiftError):
             return getattr(self._shifts[name], method)(*arguments)
-        except MagicalError:
-            raise
-        except Exception as error:
-            raise ShiftError(f"{name}.{method} failed: {with_location(error)}") from error
 
     def scene(self, scene: Scene, task: str) -> Scene:
         """The shifted initial scene.
@@ -85,7 +81,7 @@ class EpisodeShifts:
             if not isinstance(scene, Scene):
                 raise ShiftError(f"{name}.scene must return a magical_mj.Scene, not {short_repr(scene)}")
             check_scene(scene)
-            with errors_of_task(f"{task}.check failed"):
+            with errors_of_user(f"{task}.check failed"):
                 task_spec(task).check(scene)
         return scene
 

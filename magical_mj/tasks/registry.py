@@ -270,7 +270,7 @@ def drawn_scene(spec: TaskSpec, variant: str, seed: int, body: str) -> Scene:
     """As `sample_scene`, whose arguments are checked already."""
     if spec.name in KNOWN:
         return vary(spec, variant, seed, body)  # the benchmark's tasks need no checks
-    with imports.errors_of_task(f"{spec.title}-{variant} cannot be drawn from seed {short_repr(seed)}"):
+    with imports.errors_of_user(f"{spec.title}-{variant} cannot be drawn from seed {short_repr(seed)}"):
         scene = vary(spec, variant, seed, body)
         check_drawn(spec, variant, seed, scene)
     return scene
@@ -321,7 +321,7 @@ def score_trajectory(task: str, scenes: Sequence[Scene], rules: Rules = "paper")
         )
     for scene in scenes:
         check_scene_type(scene)
-    with imports.errors_of_task(f"{spec.title}.check failed"):
+    with imports.errors_of_user(f"{spec.title}.check failed"):
         spec.check(scenes[0])
     for scene in scenes[1:] if spec.trajectory else scenes[-1:]:
         _check_same(scenes[0], scene)
@@ -422,10 +422,10 @@ def check_spec(spec: Any, task: str) -> None:
         _check_variants(spec)
     except TaskError:
         raise
-    except MagicalError as error:
-        raise TaskError(f"{task} is invalid: {error}{imports.location(error)}") from error
     except Exception as error:
-        raise TaskError(f"{task} is invalid: {imports.with_location(error)}") from error
+        own = isinstance(error, MagicalError)
+        problem = f"{error}{imports.location(error)}" if own else imports.with_location(error)
+        raise TaskError(f"{task} is invalid: {problem}") from error
 
 
 def _check_variants(spec: TaskSpec) -> None:

@@ -14,7 +14,7 @@ from magical_mj.scene import Scene
 from magical_mj.scene.bodies import BODIES, GRIPPER, check_body_name
 from magical_mj.tasks.planning import Noise, Subgoal
 from magical_mj.utils.errors import SettingsError, TaskError, as_integer, short_repr
-from magical_mj.utils.imports import errors_of_task
+from magical_mj.utils.imports import errors_of_user
 from magical_mj.variants import VariationRules
 
 Rules = Literal["paper", "released"]
@@ -146,7 +146,7 @@ class TaskSpec(VariationRules):
         Raises:
             TaskError: if the result is not such a number, or `score` raises an error that is not one of this package's.
         """
-        with errors_of_task(f"{self.title}.score failed"):
+        with errors_of_user(f"{self.title}.score failed"):
             function: Callable[..., Any] = self.score
             score = function(*self._seen(scenes), rules)
         if not isinstance(score, int | float | np.number) or not -_ROUNDING <= score <= 1.0 + _ROUNDING:
@@ -169,7 +169,7 @@ class TaskSpec(VariationRules):
                 raises an error that is not one of this package's.
         """
         self.check_reward("dense")
-        with errors_of_task(f"{self.title}.distance failed"):
+        with errors_of_user(f"{self.title}.distance failed"):
             function: Any = self.distance
             left = function(*self._seen(scenes), rules)
         if not isinstance(left, int | float | np.number) or not 0.0 <= left < math.inf:
@@ -190,7 +190,7 @@ class TaskSpec(VariationRules):
         plan, now = self.check_plan(), scenes[-1]
         if self.checked_score(scenes, rules) == 1.0:
             return ()
-        with errors_of_task(f"{self.title}.plan failed"):
+        with errors_of_user(f"{self.title}.plan failed"):
             returned: Any = plan(*self._seen(scenes), noise)
             todo = tuple(returned) if isinstance(returned, Iterable) else (returned,)  # a generator runs here
         for subgoal in todo:

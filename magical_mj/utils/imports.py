@@ -229,17 +229,17 @@ def _own_source(module: str) -> Path | None:
 
 
 @contextmanager
-def errors_of_task(what: str) -> Iterator[None]:
-    """Converts errors of a task's code to a `TaskError` with the text `what` and the error's type, text and location.
+def errors_of_user(what: str, kind: type[MagicalError] = TaskError) -> Iterator[None]:
+    """Converts errors of a user's code to this kind, with the text `what` and the error's type, text and location.
 
-    This package's own errors, which a task may raise intentionally, pass through.
+    This package's own errors, which such code may raise intentionally, pass through.
     """
     try:
         yield
     except MagicalError:
         raise
     except Exception as error:
-        raise TaskError(f"{what}: {with_location(error)}") from error
+        raise kind(f"{what}: {with_location(error)}") from error
 
 
 def with_location(error: BaseException) -> str:

@@ -89,7 +89,8 @@ def test_ten_actions_and_what_is_alone_moves_alike() -> None:
         for env, action in zip(envs, actions.tolist(), strict=True):
             env.step(action)
     assert np.median(distances(physics, envs)) < 1e-4
-    torch.testing.assert_close(alone.poses[0], physics.poses[1], atol=1e-5, rtol=0.0)
+    # contacts enlarge rounding errors, which depend on the batch's size and on the processor
+    torch.testing.assert_close(alone.poses[0], physics.poses[1], atol=1e-4, rtol=0.0)
 
 
 def test_overflows_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,7 +111,7 @@ def test_environments_have_the_tasks_in_the_given_order() -> None:
     states, _ = worlds.reset(seed=5)
     for number, (task, variant) in enumerate([*pairs, pairs[0]]):
         wanted = magical_mj.Engine(task, variant, seed=5 + number).state_vector()
-        np.testing.assert_allclose(states[number].numpy(), wanted, atol=1e-5)
+        np.testing.assert_allclose(states[number].numpy(), wanted, atol=1e-4)  # of float32; scenes differ by 1e-2
     worlds.close()
 
 

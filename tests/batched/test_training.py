@@ -75,13 +75,13 @@ def test_histories_of_states_begin_with_their_episode(worlds: BatchedEnvs) -> No
     before = worlds.reset()
     assert before.shape == (2, HISTORY, len(STATE_NAMES))
     assert worlds.batch.steps.tolist() == [0, 20]
-    np.testing.assert_allclose(before[0], first, atol=1e-6)
+    np.testing.assert_allclose(before[0], first, atol=1e-4)  # of float32; another step differs by 1e-2, see below
     assert np.abs(before[1, -1] - first[-1]).max() > 0.01
     worlds.batch.steps[1] = 39
     observations, ended, last, _, _ = worlds.step(np.array([1, 3]))
     assert ended.tolist() == [False, True]
     np.testing.assert_array_equal(observations[0, :-1], before[0, 1:])
-    np.testing.assert_allclose(observations[1], first, atol=1e-6)
+    np.testing.assert_allclose(observations[1], first, atol=1e-4)
     np.testing.assert_array_equal(last[1, :-1], before[1, 1:])
     assert np.abs(last[1, -1] - first[-1]).max() > 0.01
     single.close()

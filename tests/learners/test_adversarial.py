@@ -63,7 +63,9 @@ def test_each_samples_gradient_is_its_own() -> None:
     discriminator.train()(stacks, actions, tasks)  # running statistics that are not the initial ones
     discriminator.eval()
     alone = [gradient_penalty(discriminator, *(part[[n]] for part in (stacks, actions, tasks))) for n in range(4)]
-    torch.testing.assert_close(gradient_penalty(discriminator, stacks, actions, tasks), torch.stack(alone).mean())
+    # rounding depends on the batch's size; with the batch's statistics, the difference is 0.6
+    whole = gradient_penalty(discriminator, stacks, actions, tasks)
+    torch.testing.assert_close(whole, torch.stack(alone).mean(), atol=1e-4, rtol=0)
 
 
 def test_wgails_loss_by_hand() -> None:
@@ -87,8 +89,8 @@ def test_wgails_sides() -> None:
     learner = WGAILGP(playing(**{"discriminator.gradient_penalty": 0}))
     samples = torch.rand(4, 12, 96, 96), torch.tensor([0, 1, 2, 3]), torch.zeros(4, dtype=torch.int64)
     values = learner.discriminator.train()(*samples).detach()
-    loss, metrics = learner.loss(samples)
-    assert loss.item() == pytest.approx((values[2:].mean() - values[:2].mean()).item(), abs=1e-6)
+    loss, metrics = learner.loss(samples)  # about 1e-2, with the other sign if the sides are exchanged
+    assert loss.item() == pytest.approx((values[2:].mean() - values[:2].mean()).item(), abs=1e-4)
     assert metrics["distance"] == pytest.approx(-loss.item())
     learner.close()
 
@@ -215,5 +217,5 @@ def test_rewards_are_of_unaugmented_pictures_by_running_statistics() -> None:
         whole = learner.reward(stacks, actions, tasks)
         assert not learner.discriminator.training
         alone = learner.reward(stacks[3:4], actions[3:4], tasks[3:4])
-    torch.testing.assert_close(whole[3:4], alone)
+    torch.testing.assert_close(whole[3:4], alone, atol=1e-4, rtol=0)  # with the batch's statistics it is 2e-2
     learner.close()

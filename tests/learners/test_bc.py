@@ -98,12 +98,12 @@ def test_the_loss_is_the_log_loss() -> None:
     with torch.no_grad():
         learner.actor.head.weight.zero_()
         learner.actor.head.bias.zero_()
-    assert learner.update()["loss"] == pytest.approx(math.log(18), rel=1e-5)
+    assert learner.update()["loss"] == pytest.approx(math.log(18), rel=1e-4)
     with torch.no_grad():
         learner.actor.head.bias[0, 7] = 100.0
     _, actions, _ = TrainingData(learner.settings, drop_noop=True).sample(4, _after_one_draw(learner))
     expected = 100.0 * (actions != 7).float().mean().item()
-    assert learner.update()["loss"] == pytest.approx(expected, rel=1e-5)
+    assert learner.update()["loss"] == pytest.approx(expected, rel=1e-4)
 
 
 def _after_one_draw(learner: BehaviouralCloning) -> torch.Generator:

@@ -104,7 +104,8 @@ def test_the_order_of_blocks_changes_nothing() -> None:
     blocks = torch.arange(first[0], first[0] + MAX_BLOCKS * len(first)).reshape(MAX_BLOCKS, -1)
     shuffled = seen.clone()
     shuffled[..., blocks.flatten()] = seen[..., blocks[[3, 9, 0, 7, 1, 8, 2, 6, 5, 4]].flatten()]
-    torch.testing.assert_close(torso(shuffled), torso(seen), atol=1e-5, rtol=1e-4)
+    # sums in another order: rounding is 2e-7 here, another place of a single block changes 2e-4 or more
+    torch.testing.assert_close(torso(shuffled), torso(seen), atol=1e-4, rtol=0)
 
 
 def test_rows_of_other_samples_change_nothing() -> None:
@@ -113,7 +114,8 @@ def test_rows_of_other_samples_change_nothing() -> None:
     few = histories(np.asarray(demos.observations(demos.load("MoveToCorner")[0], "State")))[:2]
     many = played()[:2]
     together = torso(torch.as_tensor(np.concatenate([few, many])))[:2]
-    torch.testing.assert_close(together, torso(torch.as_tensor(few)), atol=1e-5, rtol=1e-4)
+    # rounding depends on the batch's size; without the mask, the difference is 1e-2
+    torch.testing.assert_close(together, torso(torch.as_tensor(few)), atol=1e-4, rtol=0)
 
 
 def test_every_scene_of_every_environment_can_be_seen() -> None:
