@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from magical_mj.assets.scene_model import SceneModel
 from magical_mj.demos.demonstration import Demonstration, checked
-from magical_mj.demos.recording import render_demo
+from magical_mj.demos.recording import posed
 from magical_mj.demos.shipped import load
-from magical_mj.envs.presets import copying, frame_stacks, preset_named
+from magical_mj.envs.presets import frame_stacks, preset_named
 from magical_mj.envs.registration import env_id
 from magical_mj.observations import StateEncoder
 from magical_mj.policies.interface import Observations, Transitions
@@ -90,11 +90,9 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
         rows: dict[str, NDArray[Any]] = {
             name: np.empty((len(demo.qpos), *stack.shape), np.uint8) for name, stack in stacks.items()
         }
-        for number, pictures in enumerate(
-            render_demo(demo, [view for view, _ in kind.frames], kind.image_size, renderer)
-        ):
+        for number, simulation in enumerate(posed(demo, renderer)):
             for name, stack in stacks.items():
-                (stack.push if number else stack.start)(copying(pictures))
+                (stack.push if number else stack.start)(simulation.draw)
                 rows[name][number] = stack.latest
         if kind.layout != "dict":
             return next(iter(rows.values()))

@@ -363,6 +363,12 @@ def render_demo(
     """
     for view in views:
         check_picture(view, size)
+    for simulation in posed(demo, renderer):
+        yield {view: simulation.draw(view, size) for view in views}
+
+
+def posed(demo: Demonstration, renderer: str | None = None) -> Iterator[Simulation]:
+    """The simulation in the states before the first and after each action, for its pictures only. See `render_demo`."""
     strengths, _ = split_body(demo.shifts, demo.task, demo.scene.robot.body)
     shifts = EpisodeShifts(draw_shifts(strengths, demo.scene_seed))
     simulation = Simulation.of(demo.scene, shifts, renderer)
@@ -371,7 +377,7 @@ def render_demo(
         data.qpos[:] = positions
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
-        yield {view: simulation.draw(view, size) for view in views}
+        yield simulation
 
 
 class Diversity(NamedTuple):

@@ -203,17 +203,3 @@ def frame_stacks(preset: Preset, size: int | None = None) -> dict[str, FrameStac
 def saved_frames(stacks: Mapping[str, FrameStack]) -> dict[str, Images]:
     """Copies of the stacks, except those that contain only current frames."""
     return {name: stack.latest.copy() for name, stack in stacks.items() if stack.has_history}
-
-
-def copying(pictures: Mapping[str, Images]) -> Draw:
-    """A `Draw` that copies existing pictures."""
-
-    def write(view: str, size: int, out: Images) -> None:
-        del size
-        if out.ndim == 2:
-            out[:] = pictures[view]
-            return
-        for channel in range(3):  # three strided copies are faster than one copy of triples
-            out[..., channel] = pictures[view][..., channel]
-
-    return write

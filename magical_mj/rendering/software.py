@@ -105,16 +105,17 @@ def polygons_of(model: mujoco.MjModel) -> tuple[NDArray[np.int32], NDArray[np.fl
         The table of polygons for `scanlines.paint`, the corners of geoms (those of skins are in the model), and the
         value of each polygon in segmentations.
     """
-    shown = np.flatnonzero(drawn(model.geom_group)).tolist()
-    parts = [(geom, part) for geom in shown for part in _parts(model, geom)]
-    ends = np.cumsum([len(part) for _, part in parts]).tolist()
     bodies, roots = model.geom_bodyid.tolist(), model.body_weldid.tolist()
     still, moving = [], []  # rows of the table, with the values in segmentations
-    for (geom, part), end in zip(parts, ends, strict=True):
+    corners, end = list[NDArray[np.float64]](), 0
+    for geom in np.flatnonzero(drawn(model.geom_group)).tolist():
         body = bodies[geom]
         segment = _segment(_name(model, mujoco.mjtObj.mjOBJ_BODY, body))
         group = moving if roots[body] else still
-        group.append((end - len(part), end, body, geom, 0, segment))
+        for part in _parts(model, geom):
+            corners.append(part)
+            first, end = end, end + len(part)
+            group.append((first, end, body, geom, 0, segment))
     spans = zip(model.skin_vertadr.tolist(), model.skin_vertnum.tolist(), strict=True)
     skins = [
         (start, start + 4, 0, skin, 1, min(REGION + skin // 2, BLOCK - 1))  # fill and border
@@ -122,7 +123,7 @@ def polygons_of(model: mujoco.MjModel) -> tuple[NDArray[np.int32], NDArray[np.fl
         for start in range(first, first + count, 4)
     ]
     table = np.array([*still, *skins, *moving], np.int32)
-    return table[:, :5].copy(), np.concatenate([part for _, part in parts]), table[:, 5].astype(np.uint32)
+    return table[:, :5].copy(), np.concatenate(corners), table[:, 5].astype(np.uint32)
 
 
 def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:

@@ -157,7 +157,8 @@ def test_it_is_demonstrated_exported_and_learnt(user: User) -> None:
         from pathlib import Path
         import mujoco
         from magical_mj import demos
-        from magical_mj.learners.data import shipped
+        from magical_mj.learners import load_settings
+        from magical_mj.learners.data import to_choose_from
 
         does("demos generate --tasks push_out:SPEC --count 1 --jobs 1 --out {folder}")
         does("demos verify {folder} --jobs 1")
@@ -174,7 +175,8 @@ def test_it_is_demonstrated_exported_and_learnt(user: User) -> None:
         does("evaluate --policy run --tasks PushOut --variants Demo --episodes 1 --jobs 1 --out learnt")
         does("demos generate --tasks push_out:SPEC --variants All --count 1 --jobs 1 --out {folder}")
         assert [demo.variant for demo in demos.load("PushOut")] == ["All", "Demo"]
-        assert [demo.variant for demo in shipped("PushOut")] == ["Demo"]
+        learnt = to_choose_from(load_settings("bc", "PushOut"), "PushOut")
+        assert [demo.variant for demo in learnt] == ["Demo"]
 
         does("view PushOut All --out picture.png")
         does("export push_out:SPEC All --out models")
