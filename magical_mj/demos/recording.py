@@ -38,12 +38,13 @@ from magical_mj.engine.simulation import Simulation
 from magical_mj.experts import expert_of
 from magical_mj.policies.interface import play_actions
 from magical_mj.protocol import PROTOCOL
+from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.picture import Picture, check_picture
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts.episode import EpisodeShifts, draw_shifts
 from magical_mj.shifts.registry import Shifts, parse_shifts, shift_label, split_body
 from magical_mj.tasks.registry import sample_scene, score_trajectory, task_name, task_spec, variant_name
-from magical_mj.utils.errors import DemonstrationError
+from magical_mj.utils.errors import DemonstrationError, short_repr
 from magical_mj.variants import check_seed
 
 Floats = NDArray[np.float64]
@@ -281,10 +282,8 @@ def from_recording(text: str | bytes) -> Imported:
 
 
 def _decoded(text: str | bytes) -> _Recording:
-    if not isinstance(text, str | bytes):
-        raise DemonstrationError(f"a recording must be text or bytes, not {type(text).__name__}")
-    if len(text) > MAX_BYTES:
-        raise DemonstrationError(f"a recording must not be longer than {MAX_BYTES:,} bytes")
+    if not isinstance(text, str | bytes) or len(text) > MAX_BYTES:
+        raise DemonstrationError(f"a recording must be text of at most {MAX_BYTES:,} bytes, not {short_repr(text)}")
     try:
         recording = msgspec.json.decode(text, type=_Recording)
     except (ValueError, RecursionError) as error:
@@ -369,6 +368,7 @@ def render_demo(
 
 def posed(demo: Demonstration, renderer: str | None = None) -> Iterator[Simulation]:
     """The simulation in the states before the first and after each action, for its pictures only. See `render_demo`."""
+    check_renderer(renderer)
     strengths, _ = split_body(demo.shifts, demo.task, demo.scene.robot.body)
     shifts = EpisodeShifts(draw_shifts(strengths, demo.scene_seed))
     simulation = Simulation.of(demo.scene, shifts, renderer)

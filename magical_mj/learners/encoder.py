@@ -16,7 +16,7 @@ from magical_mj.learners.policy import POLICY, load_policy
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.facts import CONFIG, check_tasks, check_variants
 from magical_mj.utils import files
-from magical_mj.utils.errors import MissingFileError, SettingsError, TrainingError, as_integer, short_repr
+from magical_mj.utils.errors import SettingsError, TrainingError, as_integer, short_repr
 
 PREFIX: Final = "torso.convolutions."
 """The prefix of the encoder's weights among those of a policy."""
@@ -107,14 +107,11 @@ def _of_run(folder: Path) -> Encoder:
 
 
 def _in_file(path: Path) -> Encoder:
-    if not path.exists():
-        raise MissingFileError(
-            f"bc.encoder={path} does not exist: give the folder of a training, or a file written by save_encoder"
-        )
     try:
         known = checkpoint.read(path).get("encoder")
     except TrainingError as error:
-        raise TrainingError(f"{error}; give the folder of a training, or a file written by save_encoder") from error
+        remedy = "give the folder of a training, or a file written by save_encoder"
+        raise type(error)(f"bc.encoder: {error}; {remedy}") from error
     if not isinstance(known, dict) or known.keys() != set(Encoder._fields) or not isinstance(known["weights"], dict):
         raise SettingsError(
             f"{path} was not written by save_encoder of this version, so the tasks and variants of its training are "

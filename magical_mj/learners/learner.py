@@ -69,10 +69,9 @@ class Method(ABC):
     def check_settings(cls, settings: TrainingSettings) -> None:
         """Raises a `SettingsError` if the method does not support these settings, or a file in them."""
         cls.check_values(settings)
-        if settings.states and cls.observes == "pictures":
-            raise SettingsError(f"{settings.method} learns from images: give a preset other than {STATE}")
-        if not settings.states and cls.observes == "states":
-            raise SettingsError(f"{settings.method} learns from states: give the preset {STATE}")
+        if cls.observes not in ("either", "states" if settings.states else "pictures"):
+            preset = f"the preset {STATE}" if cls.observes == "states" else f"a preset other than {STATE}"
+            raise SettingsError(f"{settings.method} learns from {cls.observes}: give {preset}")
 
     @classmethod
     def check(cls, settings: TrainingSettings) -> None:

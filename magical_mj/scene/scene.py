@@ -343,16 +343,13 @@ def _set_numbers(owner: object, *names: str) -> None:
 def _as_number(name: str, value: Any) -> float:
     """`value` as a float. Numbers of numpy and other libraries are accepted, booleans and strings are not."""
     kind = getattr(getattr(value, "dtype", None), "kind", "f")  # the kind of numpy's scalars and arrays
+    single = not isinstance(value, bool) and kind in "fiu" and not getattr(value, "ndim", 0)
     try:
-        if isinstance(value, bool) or kind not in "fiu" or getattr(value, "ndim", 0) or not hasattr(value, "__float__"):
-            raise TypeError
-        number = float(value)
-    except (TypeError, ValueError):
-        raise InvalidSceneError(f"{name} must be a number, not {short_repr(value)}") from None
-    except OverflowError:
-        number = math.inf
+        number = float(value) if single and hasattr(value, "__float__") else math.nan
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
     if not abs(number) <= MAX_NUMBER:
-        raise InvalidSceneError(f"{name} must be finite and at most {MAX_NUMBER:g}, not {short_repr(value)}")
+        raise InvalidSceneError(f"{name} must be a finite number, at most {MAX_NUMBER:g}, not {short_repr(value)}")
     return number + 0.0  # converts -0.0 to 0.0, so that equal scenes have equal digests
 
 

@@ -200,4 +200,4 @@ def test_files_cannot_change_how_later_ones_are_read(tmp_path: Path) -> None:
         with pytest.raises(DemonstrationError, match="not a pickle of a demonstration: TypeError"):
             from_original(path)
     good = packed(path, episode("MoveToRegion", magical_mj.demos.load("MoveToRegion")[0].actions))
-    assert from_original(good).demonstration.score == 1.0
+    assert from_original(good)[0].score == 1.0

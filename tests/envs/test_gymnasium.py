@@ -222,7 +222,7 @@ def test_bad_input_is_explained() -> None:
         env.step(0)
     with pytest.raises(InvalidSceneError, match="JSON"):
         env.reset(options={"scene": "{not json"})
-    with pytest.raises(InvalidSceneError, match="scene"):
+    with pytest.raises(InvalidSceneError, match=r"not a magical_mj\.Scene"):
         env.reset(options={"scene": 3})
     env.reset(seed=0)
     with pytest.raises(InvalidActionError):

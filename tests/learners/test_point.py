@@ -53,7 +53,7 @@ def test_the_penalty_falls_where_it_weighs() -> None:
 
 
 def test_point_needs_pictures_and_large_batches() -> None:
-    with pytest.raises(SettingsError, match="from images"):
+    with pytest.raises(SettingsError, match="from pictures"):
         Point(load_settings("point", "MoveToRegion", preset="State"))
     with pytest.raises(SettingsError, match="at least 4"):
         Point(load_settings("point", "MoveToRegion", **SMALL))

@@ -456,7 +456,7 @@ def test_a_strangers_model_cannot_read_files_outside_of_its_folder(tmp_path: Pat
 
 
 def test_a_missing_model_is_named(shell: Shell) -> None:
-    assert "the file nothing.xml does not exist" in shell.fails(2, "inspect", "nothing.xml")
+    assert "nothing.xml: No such file" in shell.fails(1, "inspect", "nothing.xml")
     assert "only with TASK" in shell.fails(2, "inspect", "nothing.xml", "--seed", 2)
 
 

@@ -13,7 +13,6 @@ import magical_mj
 from magical_mj.cli import option
 from magical_mj.cli.console import check_fits
 from magical_mj.tasks.registry import ENVIRONMENTS, task_spec, variant_name
-from magical_mj.utils.errors import SettingsError
 from magical_mj.utils.extras import check_extra
 from magical_mj.web.cli.serve import Host, Port, check_seed_in_browser, serve_until_interrupted
 
@@ -41,10 +40,7 @@ def inspect(
     from magical_mj.web.inspection import InspectServer, model_files
 
     if is_file:
-        path = Path(model)
-        if not path.is_file():
-            raise SettingsError(f"the file {path} does not exist")
-        files, fragment = model_files(path, folder or ()), "#file"
+        files, fragment = model_files(Path(model), folder or ()), "#file"
     else:
         name = f"{task_spec(model).name}-{variant_name(variant)}-{check_seed_in_browser(seed)}"
         if (task_spec(model).name, variant_name(variant)) in ENVIRONMENTS:
