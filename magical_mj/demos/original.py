@@ -21,7 +21,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from itertools import product
 from pathlib import Path
-from typing import Any, ClassVar, Final, Self
+from typing import Any, ClassVar, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,14 +62,19 @@ BANNED: Final = frozenset(
 )
 
 
-def from_original(path: Path | str) -> tuple[Demonstration, float | None]:
+class Original(NamedTuple):
+    """A demonstration of the original, replayed here."""
+
+    demonstration: Demonstration
+    score: float | None
+    """The score that the file records, in the original's simulation; None if it records none."""
+
+
+def from_original(path: Path | str) -> Original:
     """Replays a demonstration that was released with the original.
 
     Args:
         path: a file such as ``demo-FindDupe-2020-...pkl.gz``.
-
-    Returns:
-        The demonstration, and the score that the file records, in the original's simulation; None if it records none.
 
     Raises:
         DemonstrationError: if the file is not such a demonstration, refers to code, is too large, or does not start in
@@ -95,7 +100,7 @@ def from_original(path: Path | str) -> tuple[Demonstration, float | None]:
     actions, steps = _actions(path, content["trajectory"]), SPECS[task].horizon()
     if len(actions) > steps:
         raise DemonstrationError(f"{path} has {len(actions)} actions, and episodes of {task} have {steps}")
-    return replayed(task, variant, 0, actions, "human"), score
+    return Original(replayed(task, variant, 0, actions, "human"), score)
 
 
 def _actions(path: Path, trajectory: Any) -> list[int]:

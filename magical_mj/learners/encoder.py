@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -12,7 +11,7 @@ from torch import Tensor, nn
 
 from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import Torso
-from magical_mj.learners.policy import POLICY, load_policy
+from magical_mj.learners.policy import load_policy
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.facts import CONFIG, check_tasks, check_variants
 from magical_mj.utils import files
@@ -87,13 +86,6 @@ def load_encoder(settings: TrainingSettings) -> Encoder | None:
             "with the sizes of this network (--quick in both trainings or in none, and the same settings network.*)"
         )
     return encoder
-
-
-def encoder_digest(settings: TrainingSettings) -> str:
-    """The SHA-256 of the encoder's file; empty without one."""
-    path = Path(settings.bc.encoder)
-    path = path / POLICY if path.is_dir() else path
-    return hashlib.sha256(path.read_bytes()).hexdigest() if settings.bc.encoder and path.is_file() else ""
 
 
 def _of_run(folder: Path) -> Encoder:

@@ -27,8 +27,8 @@ from magical_mj.learners import checkpoint
 from magical_mj.learners.checkpoint import CHECKPOINT
 from magical_mj.learners.config import START, as_toml, from_toml, recorded, to_toml
 from magical_mj.learners.data import digest
-from magical_mj.learners.encoder import encoder_digest
 from magical_mj.learners.learner import Method, threads_for
+from magical_mj.learners.policy import POLICY
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.facts import CONFIG
 from magical_mj.policies.interface import Policy
@@ -281,14 +281,18 @@ def _sources(settings: TrainingSettings) -> dict[str, tuple[str, str]]:
     """The training's external inputs: name -> the beginning of an error message, and the SHA-256 ("" if not used)."""
     own = [task for task in settings.tasks if task not in KNOWN]
     code = hashlib.sha256("".join(map(code_digest, own)).encode()).hexdigest() if own else ""
-    reward = Path(settings.reward.run) / CHECKPOINT
-    learnt = hashlib.sha256(reward.read_bytes()).hexdigest() if settings.reward.run and reward.exists() else ""
     return {
         "recordings": (f"the demonstrations in {settings.recordings} have", digest(settings)),
-        "reward": (f"the reward in {settings.reward.run} has", learnt),
-        "encoder": (f"the encoder in {settings.bc.encoder} has", encoder_digest(settings)),
+        "reward": (f"the reward in {settings.reward.run} has", _file_digest(settings.reward.run, CHECKPOINT)),
+        "encoder": (f"the encoder in {settings.bc.encoder} has", _file_digest(settings.bc.encoder, POLICY)),
         CODE: (f"the code of {', '.join(own)} has", code),
     }
+
+
+def _file_digest(name: str, inner: str) -> str:
+    """The SHA-256 of a file, or of the file `inner` in a folder. Empty without a name or file."""
+    path = Path(name) / inner if Path(name).is_dir() else Path(name)
+    return hashlib.sha256(path.read_bytes()).hexdigest() if name and path.is_file() else ""
 
 
 def _provenance(settings: TrainingSettings, method: Method) -> str:

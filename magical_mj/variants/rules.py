@@ -223,15 +223,17 @@ def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) ->
         TaskError: if a rule of the task does not return a scene.
     """
     axes = rules.variants[variant]
-    rngs: dict[Axis, np.random.Generator] = {axis: axis_generator(rules.name, axis, seed) for axis in axes}
-    demo = rules.demo if rngs else rules.demos[seed % len(rules.demos)]
+    demo = rules.demo if axes else rules.demos[seed % len(rules.demos)]
     if body != demo.robot.body:
         demo = replace(demo, robot=replace(demo.robot, body=body))
-        if "layout" not in rngs:
+        if "layout" not in axes:
             demo = with_room(demo)
+    if not axes:
+        return demo
+    rngs: dict[Axis, np.random.Generator] = {axis: axis_generator(rules.name, axis, seed) for axis in axes}
     for _ in range(MAX_REDRAWS):
         scene = _varied(rules, demo, rngs, seed)
-        if not rngs or rules.accepts is None or rules.accepts(scene):
+        if rules.accepts is None or rules.accepts(scene):
             return scene
     raise PlacementError(f"none of {MAX_REDRAWS} scenes of {rules.name}-{variant} with seed {seed} is a good start")
 

@@ -76,7 +76,7 @@ def test_fields_in_another_order_and_in_dicts_are_found(tmp_path: Path) -> None:
         )
     ):
         path = packed(tmp_path / f"demo-{number}.pkl.gz", {**whole, "trajectory": trajectory})
-        assert from_original(path)[0].score == 1.0
+        assert from_original(path).demonstration.score == 1.0
 
 
 @dataclasses.dataclass(slots=True)
@@ -92,7 +92,7 @@ def test_records_with_slots_and_all_kinds_of_scores_are_read(tmp_path: Path, sco
     Slots.__module__ = MODULE
     whole = episode("MoveToRegion", magical_mj.demos.load("MoveToRegion")[0].actions, score=score)
     whole["trajectory"] = Slots(whole["trajectory"].acts, whole["trajectory"].obs)
-    assert from_original(packed(tmp_path / "demo.pkl.gz", whole))[1] == score
+    assert from_original(packed(tmp_path / "demo.pkl.gz", whole)).score == score
 
 
 class Runs:
@@ -200,4 +200,4 @@ def test_files_cannot_change_how_later_ones_are_read(tmp_path: Path) -> None:
         with pytest.raises(DemonstrationError, match="not a pickle of a demonstration: TypeError"):
             from_original(path)
     good = packed(path, episode("MoveToRegion", magical_mj.demos.load("MoveToRegion")[0].actions))
-    assert from_original(good)[0].score == 1.0
+    assert from_original(good).demonstration.score == 1.0
