@@ -13,7 +13,7 @@ from magical_mj.learners.settings import ALL_PARTS, METHODS, OWN, STATE, Trainin
 from magical_mj.tasks.registry import listed_tasks, tasks_in_file
 from magical_mj.utils.errors import SettingsError
 from magical_mj.utils.files import read_toml
-from magical_mj.utils.settings import changed, described
+from magical_mj.utils.settings import described, with_changes
 
 START: Final = "made"
 """The table of a config.toml with the time and the versions of a run's start. It contains no settings."""
@@ -88,7 +88,6 @@ def load_settings(
         SettingsError: if a value is invalid, or `quick` is used with the preset State.
     """
     tasks = tuple(listed_tasks(tasks))
-    settings = settings_type(method)(method, tasks)
     short = QUICK if quick else {}
     if isinstance(chosen := changes.get("preset"), str) and chosen == STATE:
         if quick:
@@ -100,7 +99,7 @@ def load_settings(
     if method in METHODS:
         kind = METHODS[method]
         short = {**short, **(kind.short if short else {}), **kind.defaults}
-    return changed(settings, {**short, **changes})
+    return with_changes(settings_type(method), {**short, "method": method, "tasks": tasks, **changes})
 
 
 def settings_type(method: str) -> type[TrainingSettings]:
@@ -176,8 +175,8 @@ def from_toml(path: Path, trusted: Collection[str] = ()) -> TrainingSettings:
         raise SettingsError(f"{START} in {path} must be a table, as written by a training: remove it")
     if "method" not in table or "tasks" not in table:
         raise SettingsError(f"{path} must give a method and tasks")
-    method, tasks = table.pop("method"), tuple(tasks_in_file(table.pop("tasks"), path, trusted))
-    return changed(settings_type(method)(method, tasks), flattened(table))
+    table["tasks"] = tuple(tasks_in_file(table["tasks"], path, trusted))
+    return with_changes(settings_type(table["method"]), flattened(table))
 
 
 def flattened(table: dict[str, Any]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from magical_mj.policies.models import Model, torch_settings
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, check_name, short_repr
 from magical_mj.utils.extras import check_extra
-from magical_mj.utils.settings import changed
+from magical_mj.utils.settings import with_changes
 
 POLICY: Final = "policy.safetensors"
 """The policy's file in a run's folder."""
@@ -114,7 +114,7 @@ def read_policy(folder: Path | str) -> TrainedPolicy:
         if not tasks or not all(isinstance(task, str) for task in tasks):
             raise TypeError(f"tasks must be names, not {short_repr(tasks)}")
         check_name("preset", preset, LEARNABLE)
-        network = changed(NetworkSettings(), contents["network"])
+        network = with_changes(NetworkSettings, contents["network"])
         actor = Actor(network, len(tasks), states=preset == STATE, batch_norm=contents["batch_norm"])
         actor.load_state_dict(contents["weights"])
     except Exception as error:

@@ -1,7 +1,7 @@
 """Settings: frozen dataclasses. A field defines a setting's type, bounds, meaning and default for all interfaces.
 
 A field is annotated, ``episodes: Annotated[Count, Meta(description="Episodes in each environment.")] = 100``. A
-subclass of `Settings` checks all its fields when an object is created. `changed` also accepts values as text, and
+subclass of `Settings` checks all its fields when an object is created. `with_changes` accepts values as text, and
 `described` returns the data for command-line options. Settings may contain other settings as parts.
 
 msgspec converts the values: it loads in half of pydantic's time, and has no dependencies.
@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
@@ -156,13 +156,10 @@ def with_values(settings: Callable[..., T], values: Mapping[str, Any]) -> T:
     return settings(**values)
 
 
-def changed(settings: T, changes: Mapping[str, Any]) -> T:
-    """Settings with other values, which may be given as text. Names of parts' settings contain dots, as in "ppo.clip".
-
-    Raises the errors of `with_values`.
-    """
-    _check_known(changes, described(type(settings)))
-    return _changed(settings, changes, "")
+def with_changes(settings: Callable[..., T], changes: Mapping[str, Any]) -> T:
+    """As `with_values`, but values may be text. Names of parts' settings contain dots, as in "ppo.clip"."""
+    _check_known(changes, described(settings))
+    return _with_changes(settings, changes, "")
 
 
 def _check_known(names: Iterable[str], known: Collection[str]) -> None:
@@ -172,15 +169,15 @@ def _check_known(names: Iterable[str], known: Collection[str]) -> None:
             raise UnknownArgumentError(str(unknown_name("setting", name, known)))
 
 
-def _changed(settings: T, changes: Mapping[str, Any], prefix: str) -> T:
-    values = {}
-    for name, kind in annotated(type(settings)).items():
+def _with_changes(settings: Callable[..., T], changes: Mapping[str, Any], prefix: str) -> T:
+    values: dict[str, Any] = {}
+    for name, kind in annotated(settings).items():
         path = f"{prefix}{name}"
-        if is_dataclass(_plain(kind)):
-            values[name] = _changed(getattr(settings, name), changes, f"{path}.")
+        if is_dataclass(part := _plain(kind)):
+            values[name] = _with_changes(part, changes, f"{path}.")  # pyright: ignore[reportArgumentType]
         elif path in changes:
             values[name] = fitting(path, changes[path], kind, text=True)
-    return replace(settings, **values)  # pyright: ignore[reportArgumentType]
+    return settings(**values)
 
 
 @lru_cache

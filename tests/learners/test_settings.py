@@ -16,7 +16,7 @@ from magical_mj.learners.data import chosen
 from magical_mj.learners.networks import Actor
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.utils.errors import SettingsError, UnknownNameError
-from magical_mj.utils.settings import changed, described
+from magical_mj.utils.settings import described, with_changes
 from tests.helpers.learners import tiny
 
 
@@ -38,7 +38,7 @@ def test_defaults_are_the_papers() -> None:
 
 def test_quick_changes_only_the_settings_of_its_table() -> None:
     full, quick = load_settings("bc", "all"), load_settings("bc", "all", quick=True)
-    assert quick == changed(full, QUICK) != full
+    assert quick == load_settings("bc", "all", **QUICK) != full
     assert quick.tasks == TASKS
 
 
@@ -100,7 +100,13 @@ def test_toml_contains_the_settings_that_the_method_uses() -> None:
 )
 def test_wrong_settings_are_refused(changes: dict[str, Any], says: str) -> None:
     with pytest.raises((SettingsError, UnknownNameError), match=says):
-        changed(tiny("gail"), changes)
+        with_changes(TrainingSettings, {"method": "gail", "tasks": ("FindDupe",), **changes})
+
+
+def test_defaults_that_do_not_fit_the_tasks_can_be_changed() -> None:
+    """The paper's 32 environments cannot be split between three tasks."""
+    settings = load_settings("gail", "MoveToRegion,FixColour,FindDupe", **{"ppo.environments": 36, "ppo.minibatch": 72})
+    assert (len(settings.tasks), settings.ppo.environments) == (3, 36)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +119,7 @@ def test_wrong_settings_are_refused(changes: dict[str, Any], says: str) -> None:
     ],
 )
 def test_networks_that_are_too_large_are_not_built(changes: dict[str, Any], states: bool) -> None:
-    network = changed(tiny(), changes).network
+    network = tiny(**changes).network
     with pytest.raises(SettingsError, match="at most 50,000,000"):
         Actor(network, 1, states=states)
 

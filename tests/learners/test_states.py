@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,6 @@ from magical_mj.observations import MAX_BLOCKS, STATE_NAMES
 from magical_mj.policies.interface import HISTORY, History, histories
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.utils.errors import DemonstrationError, SettingsError, TrainingError
-from magical_mj.utils.settings import changed
 from tests.helpers.agents import Alone
 from tests.helpers.learners import playing, tiny
 
@@ -178,7 +178,7 @@ def test_all_demonstrations_at_hand_are_learnt_from_and_the_policy_is_saved(tmp_
     settings = load_settings("bc", "MoveToRegion", preset="State", **{"bc.batches": 3})
     given = demos.load("MoveToRegion")[:4]
     every, four = (
-        clone(changed(settings, {"demonstrations": count}), {"MoveToRegion": given}, out).actor.state_dict()
+        clone(replace(settings, demonstrations=count), {"MoveToRegion": given}, out).actor.state_dict()
         for count, out in ((None, tmp_path / "every"), (4, None))
     )
     assert all(torch.equal(every[name], four[name]) for name in every)

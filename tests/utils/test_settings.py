@@ -11,7 +11,7 @@ import pytest
 from msgspec import Meta
 
 from magical_mj.utils.errors import SettingsError, UnknownNameError
-from magical_mj.utils.settings import Count, Names, Settings, changed, described, with_values
+from magical_mj.utils.settings import Count, Names, Settings, described, with_changes, with_values
 
 
 @dataclass(frozen=True)
@@ -64,14 +64,15 @@ def test_errors_list_the_allowed_values(values: dict[str, Any], problem: str) ->
 
 
 def test_changes_may_be_text_and_reach_parts() -> None:
-    assert changed(Cake(), {"oven.heat": "2e2", "oven.fan": "true", "eggs": "2"}) == Cake(eggs=2, oven=Oven(200, True))
+    changes = {"oven.heat": "2e2", "oven.fan": "true", "eggs": "2"}
+    assert with_changes(Cake, changes) == Cake(eggs=2, oven=Oven(200, True))
     for changes, problem in (
         ({"oven.heat": "0"}, "oven.heat must be a number above 0, not '0'"),
         ({"oven.heat": "nan"}, "oven.heat must be a number above 0"),
         ({"oven.het": 3}, "Did you mean 'oven.heat'"),
     ):
         with pytest.raises((SettingsError, UnknownNameError)) as caught:
-            changed(Cake(), changes)
+            with_changes(Cake, changes)
         assert problem in str(caught.value)
 
 

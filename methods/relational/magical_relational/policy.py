@@ -11,7 +11,7 @@ from magical_mj.learners.settings import STATE
 from magical_mj.policies.models import torch_settings
 from magical_mj.utils import files
 from magical_mj.utils.errors import TrainingError
-from magical_mj.utils.settings import changed
+from magical_mj.utils.settings import with_changes
 from magical_relational.network import Ensemble
 from magical_relational.settings import RelationalSettings, RelationalTrainingSettings
 
@@ -38,7 +38,7 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
     contents = checkpoint.read(path)
     try:
         chosen = {name: contents["relational"][name] for name in PLAYED}
-        actor = Ensemble(changed(RelationalSettings(), chosen))
+        actor = Ensemble(with_changes(RelationalSettings, chosen))
         actor.load_state_dict(contents["weights"])
         return TrainedPolicy(actor, contents["tasks"], STATE, learnt_in(path.parent))
     except Exception as error:
