@@ -34,6 +34,7 @@ from magical_mj.cli.film import film, film_episodes, replay, views_of
 from magical_mj.envs.presets import DEFAULT_PRESET
 from magical_mj.evaluation.folder import read_settings
 from magical_mj.evaluation.reports.report import extremes, report
+from magical_mj.evaluation.reports.results import counted_tasks
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, EpisodeResult, frame, open_scores
 from magical_mj.evaluation.settings import EvaluationSettings
@@ -182,13 +183,17 @@ def play_all(screen: Console, evaluation: Evaluation) -> None:
 
 
 def _summarise(screen: Console, scores: Sequence[EpisodeResult]) -> None:
-    """Prints the mean scores over tasks: by variant, and by strength of each shift. Then prints the failures."""
+    """Prints the mean scores over tasks: by variant, and by strength of each shift. Then prints the failures.
+
+    As in reports, means of several tasks leave out those of other packages.
+    """
     rows = frame(scores).assign(method=[score.method for score in scores])
     places = [_heading_and_column(score) for score in scores]
     rows["heading"], rows["column"] = [heading for heading, _ in places], [column for _, column in places]
-    environments = rows.groupby(["heading", "method", "column", "task", "variant"])["score"].mean()
+    averaged = rows[rows["task"].isin(counted_tasks(rows["task"]))]
+    environments = averaged.groupby(["heading", "method", "column", "task", "variant"])["score"].mean()
     means = environments.groupby(["heading", "method", "column"]).mean()
-    for heading in rows["heading"].unique():
+    for heading in averaged["heading"].unique():
         table_of = means[heading].unstack()
         columns = sorted(table_of, key=lambda column: (VARIANTS.index(column) if column in VARIANTS else 0, column))
         table = Table(heading, *columns, box=None, header_style="bold")

@@ -130,7 +130,11 @@ class BaseSettings(Settings):
         str, Meta(description="Shifts to play in addition to none: camera:1-5,light,body; or all. See docs/shifts.md.")
     ] = ""
     wrap: Annotated[
-        str, Meta(description="A Gymnasium wrapper around the environment, package.module:NAME. Not for batches.")
+        str,
+        Meta(
+            description="A Gymnasium wrapper around the environment, package.module:NAME, which is made anew for each "
+            "episode. Not for batches."
+        ),
     ] = ""
     body: Annotated[str, Meta(description="The robot's body. See docs/bodies.md.")] = GRIPPER
     like: Annotated[str, Meta(description="The task name that policies receive instead of the real one.")] = ""

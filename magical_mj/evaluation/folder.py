@@ -269,5 +269,8 @@ def folders_of(folders: Iterable[Path | str]) -> list[Path]:
     """The folders as a list, each once. A single path is a `SettingsError`: its letters would be taken as paths."""
     if isinstance(folders, str | bytes | PathLike):
         raise SettingsError(f"give a list of folders, such as [{str(folders)!r}], not {short_repr(folders)}")
-    paths = map(files.to_path, folders)
-    return list({path.resolve(): path for path in paths}.values())
+    paths = list({path.resolve(): path for path in map(files.to_path, folders)}.values())
+    for path in paths:
+        if path.name in (SCORES, SETTINGS) and path.is_file():
+            raise EvaluationError(f"{path} is a file of an evaluation: give its folder, {path.parent}")
+    return paths

@@ -154,7 +154,8 @@ class Player:
     def _env(self, unit: Unit, source: Source) -> Env | VectorEnv[Any, Any, Any]:
         settings, size = self.settings, len(unit.seeds)
         instruction = "instruction" not in source.unnoticed
-        key = unit.task, unit.variant, unit.shift, instruction
+        alone = (unit.seeds, unit.retry) if settings.wrap else ()  # no wrapper's state reaches another episode
+        key = unit.task, unit.variant, unit.shift, instruction, alone
         if settings.batched or size > 1:
             return self._keep(
                 "vector",

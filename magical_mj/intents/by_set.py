@@ -24,6 +24,7 @@ from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSectio
 from magical_mj.evaluation.reports.tables import NONE, Table, markdown
 from magical_mj.evaluation.scores import EpisodeResult, Key
 from magical_mj.intents.draws import in_sets
+from magical_mj.intents.given import OFFICIAL_VARIANTS
 from magical_mj.intents.tasks import PREFIX, task_of
 from magical_mj.utils.errors import SettingsError
 
@@ -83,10 +84,12 @@ def rows(episodes: Iterable[EpisodeResult]) -> list[Row]:
 
 def _row(method: str, name: str, group: Sequence[EpisodeResult]) -> Row:
     tasks, runs = sorted({one.task for one in group}), sorted({one.run for one in group})
-    best = max(floors().get(name, {}).items(), key=lambda pair: pair[1], default=None)
     values = {measure: _estimate(group, measure, tasks, runs) for measure in MEASURES}
-    variants = " and ".join(sorted({one.variant for one in group}, reverse=True))
-    return Row(method, name, variants, len(tasks), len(runs), len(group), values, best)
+    variants = {one.variant for one in group}
+    known = floors().get(name, {}) if variants <= {*OFFICIAL_VARIANTS} else {}
+    best = max(known.items(), key=lambda pair: pair[1], default=None)
+    shown = " and ".join(sorted(variants, reverse=True))
+    return Row(method, name, shown, len(tasks), len(runs), len(group), values, best)
 
 
 def _estimate(group: Sequence[EpisodeResult], measure: str, tasks: Sequence[str], runs: Sequence[int]) -> Estimate:
@@ -121,7 +124,7 @@ def table(every: Sequence[Row]) -> Table:
     groups = defaultdict[str, list[tuple[str, ...]]](list)
     for row in every:
         cells = (_text(row.values[measure]) for measure in MEASURES)
-        floor = f"{row.floor[1]:.2f} ({row.floor[0]})" if row.floor and row.variants != "Demo" else NONE
+        floor = f"{row.floor[1]:.2f} ({row.floor[0]})" if row.floor else NONE
         groups[row.method].append((row.set, row.variants, str(row.intents), str(row.runs), *cells, floor))
     header = ("Set", "Variants", "intents", "runs", *MEASURES, "best shortcut")
     return Table("intents", "Intents by set", header, tuple((name, tuple(rows)) for name, rows in groups.items()))
@@ -170,7 +173,6 @@ class IntentsSection(ReportSection):
 
     def prepare(self, inputs: Inputs) -> Prepared:
         """Computes the rows of all episodes of intents."""
-        every = [one for path in inputs.folders for one in inputs.episodes(path)]
-        if not (found := rows(every)):
+        if not (found := rows(episode for _, episode in inputs.episodes())):
             raise SettingsError("--intents: no episode is of an intent")
         return Prepared(partial(write_rows, found))

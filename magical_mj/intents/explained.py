@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -19,9 +19,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 from PIL import Image
 
-from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.replay import engine_for
-from magical_mj.evaluation.reports.results import episodes_of
 from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSection, write_page
 from magical_mj.evaluation.reports.tables import Table, markdown
 from magical_mj.evaluation.scores import EpisodeResult, Key
@@ -39,7 +37,6 @@ from magical_mj.intents.first_blocks import first_block_table
 from magical_mj.intents.readings import ENDINGS
 from magical_mj.policies.interface import actions_of
 from magical_mj.tasks.registry import EVERY_VARIANT, TASKS, task_spec
-from magical_mj.tasks.spec import Rules
 from magical_mj.utils import escape, files
 from magical_mj.utils.errors import SettingsError, counted
 from magical_mj.utils.settings import Natural
@@ -53,7 +50,7 @@ MOST_REASONS: Final = 8
 SIDE: Final = 128  # pixels; of a scene
 GAP: Final = 8  # pixels
 NONE: Final = "none of the rivals"
-ENVIRONMENT: Final = ("policy", "task", "variant")
+ENVIRONMENT: Final = ("method", "task", "variant")
 """Most tables group episodes by these fields."""
 
 Result = TypeVar("Result", Attribution, LastSolvable)
@@ -68,40 +65,30 @@ class Explanation:
     problems: Counter[str] = field(default_factory=Counter[str])
 
 
-def explain(
-    folders: Iterable[Path],
-    rules: Rules | None = None,
-    trusted: Collection[str] = (),
-    *,
-    lost: int = 0,
-    jobs: int | None = None,
-    watch: Callable[[int, int], object] = lambda _done, _total: None,
-) -> Explanation:
-    """Replays the episodes of `episodes_of`, and explains them.
+def explain(inputs: Inputs, lost: int = 0) -> Explanation:
+    """Replays the episodes of the inputs, and explains them.
 
-    `watch` is called with the number of explained episodes, and their total number. For `lost` unsolved episodes of
-    each method, task and variant, the last solvable step is found, which takes seconds each.
+    For `lost` unsolved episodes of each method, task and variant, the last solvable step is found, which takes seconds
+    each.
 
     Raises:
         SettingsError: if no episode can be explained.
     """
-    found, episodes = Explanation(), list[EpisodeResult]()
-    for folder in folders:
-        recorded = recorded_settings(folder)
-        for episode in episodes_of(folder, rules, trusted, jobs=jobs, watch=watch):
-            if problem := unfit(episode, recorded, trusted):
-                found.problems[problem] += 1
-            else:
-                episodes.append(episode)
+    found, episodes, jobs = Explanation(), list[EpisodeResult](), inputs.jobs
+    for recorded, episode in inputs.episodes():
+        if problem := unfit(episode, recorded, inputs.trusted):
+            found.problems[problem] += 1
+        else:
+            episodes.append(episode)
     if not episodes:
         raise SettingsError(f"--explain: no episode can be explained: {next(iter(found.problems), 'there are none')}")
     for done, result in enumerate(attribute(episodes, jobs=jobs), start=1):
-        watch(done, len(episodes))
+        inputs.watch(done, len(episodes))
         if isinstance(result, Attribution):
             found.attributions.append(result)
         else:
             episode, problem = result
-            found.problems[f"{episode.policy}, {episode.title}: {problem}"] += 1
+            found.problems[f"{episode.method}, {episode.title}: {problem}"] += 1
     found.attributions.sort(key=lambda result: _order(result.episode))
     if lost:
         wanted = [group[:lost] for group in _grouped(_failed(found.attributions), *ENVIRONMENT).values()]
@@ -127,9 +114,9 @@ def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = 
         *([markdown(_lost(found.last_solvable))] if found.last_solvable else []),
         "## Rivals that unsolved episodes reached",
     ]
-    for (policy, _, _), group in _grouped(_failed(found.attributions), "policy", "task", "given").items():
+    for (method, _, _), group in _grouped(_failed(found.attributions), "method", "task", "given").items():
         task = shown_task(group[0].episode)
-        parts += [f"### {escape.markdown(policy)}, {escape.markdown(task)}", *_rivals(group, out, films)]
+        parts += [f"### {escape.markdown(method)}, {escape.markdown(task)}", *_rivals(group, out, films)]
     endings, rivals = pd.DataFrame(_ending_rows(found.attributions)), pd.DataFrame(_rival_rows(found.attributions))
     return write_page(out / PAGE, parts, {"endings.csv": endings, "rivals.csv": rivals})
 
@@ -152,13 +139,13 @@ def shares(group: Sequence[Attribution]) -> dict[str, float]:
 def _endings(results: Sequence[Attribution]) -> Table:
     shown = [name for name in ENDINGS if any(name in result.ending for result in results)]
     groups = []
-    for (policy,), of_policy in _grouped(results, "policy").items():
-        environments = {" ".join(pair): group for pair, group in _grouped(of_policy, "task", "variant").items()}
+    for (method,), own in _grouped(results, "method").items():
+        environments = {" ".join(pair): group for pair, group in _grouped(own, "task", "variant").items()}
         rows = []
-        for environment, group in {**environments, "all": of_policy}.items():
+        for environment, group in {**environments, "all": own}.items():
             means = shares(group)
             rows.append((environment, str(len(group)), *(_percent(means[name]) for name in shown)))
-        groups.append((policy, tuple(rows)))
+        groups.append((method, tuple(rows)))
     caption = "Shares of episodes by what they did (per cent). An episode that fits several columns is shared equally"
     return Table("endings", caption, ("Environment", "episodes", *shown), tuple(groups), _definitions(ENDINGS, shown))
 
@@ -170,14 +157,14 @@ def _definitions(known: Mapping[str, str], shown: Iterable[str]) -> tuple[str, .
 def _lost(results: Sequence[LastSolvable]) -> Table:
     shown = [name for name in FAILURES if any(result.failure == name for result in results)]
     groups = []
-    for (policy,), of_policy in _grouped(results, "policy").items():
+    for (method,), own in _grouped(results, "method").items():
         rows = []
-        for (task,), group in _grouped(of_policy, "task").items():
+        for (task,), group in _grouped(own, "task").items():
             kinds = Counter(result.failure for result in group)
             last = [result.last / len(result.episode.actions) for result in group if result.last is not None]
             middle = f"{np.median(last):.2f}" if last else ""
             rows.append((task, str(len(group)), *(_percent(kinds[name] / len(group)) for name in shown), middle))
-        groups.append((policy, tuple(rows)))
+        groups.append((method, tuple(rows)))
     header = ("Task", "unsolved episodes", *shown, "last solvable")
     caption = (
         "Unsolved episodes by what went wrong (per cent), and the last step from which the expert still solves them "
@@ -187,8 +174,8 @@ def _lost(results: Sequence[LastSolvable]) -> Table:
 
 
 def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[Key, str]) -> list[str]:
-    """The table and the pictures of one policy and task. A sentence instead of a table if the task has no rivals."""
-    task, policy = shown_task(group[0].episode), group[0].episode.policy
+    """The table and the pictures of one method and task. A sentence instead of a table if the task has no rivals."""
+    task, method = shown_task(group[0].episode), group[0].episode.method
     variants = _grouped(group, "variant")
     rows, pictures = list[tuple[str, ...]](), list[str]()
     for number, alike in enumerate(_listed(group), start=1):
@@ -201,7 +188,7 @@ def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[Key, str]) -
             )
         )
         scenes = "".join(f"-{word}" for word in re.findall(r"[a-z0-9]+", task.partition(" [")[2]))
-        name = f"{policy}-{task_spec(task).name}{scenes}-{number}.png".replace("/", "-")
+        name = f"{method}-{task_spec(task).name}{scenes}-{number}.png".replace("/", "-")
         reached = [result for result in group if _share(result, alike)]
         examples = sorted(reached, key=lambda result: -_share(result, alike))[:EXAMPLES]
         files.write(out / name, _png([_pair(result.episode) for result in examples]), overwrite=True)
@@ -253,15 +240,15 @@ def _about(sentence: str, examples: Sequence[Attribution], films: Mapping[Key, s
 
 def _ending_rows(results: Sequence[Attribution]) -> list[dict[str, object]]:
     return [
-        {"policy": policy, "task": task, "variant": variant, "episodes": len(group), **shares(group)}
-        for (policy, task, variant), group in _grouped(results, *ENVIRONMENT).items()
+        {"policy": method, "task": task, "variant": variant, "episodes": len(group), **shares(group)}
+        for (method, task, variant), group in _grouped(results, *ENVIRONMENT).items()
     ]
 
 
 def _rival_rows(results: Sequence[Attribution]) -> list[dict[str, object]]:
     """A row for each method, environment and reached rival, and one for the episodes that reached none."""
     rows: list[dict[str, object]] = []
-    for (policy, task, variant, _), group in _grouped(_failed(results), *ENVIRONMENT, "given").items():
+    for (method, task, variant, _), group in _grouped(_failed(results), *ENVIRONMENT, "given").items():
         shown = shown_task(group[0].episode)
         total, reached = Counter[int | None](), Counter[int | None]()
         for result in group:
@@ -271,7 +258,7 @@ def _rival_rows(results: Sequence[Attribution]) -> list[dict[str, object]]:
             intent = None if rival is None else task_rivals(shown)[rival]
             rows.append(
                 {
-                    "policy": policy,
+                    "policy": method,
                     "task": task,
                     "variant": variant,
                     "failed": len(group),
@@ -319,7 +306,7 @@ def _failed(results: Iterable[Attribution]) -> list[Attribution]:
 def _order(episode: EpisodeResult) -> tuple[object, ...]:
     task = TASKS.index(episode.task) if episode.task in TASKS else len(TASKS)
     variant = EVERY_VARIANT.index(episode.variant)
-    return episode.policy, task, episode.task, variant, episode.seed, episode.run
+    return episode.method, task, episode.task, variant, episode.seed, episode.run
 
 
 def _share(result: Attribution, rivals: Sequence[int]) -> float:
@@ -372,6 +359,5 @@ class ExplainSection(ReportSection):
 
     def prepare(self, inputs: Inputs) -> Prepared:
         """Explains the episodes; see `explain`, `first_block_table` and `write_explanation`."""
-        how = {"lost": self.last_solvable, "jobs": inputs.jobs, "watch": inputs.watch}
-        found = explain(inputs.folders, inputs.rules, inputs.trusted, **how)
+        found = explain(inputs, self.last_solvable)
         return Prepared(partial(write_explanation, found), [*first_block_table(found.attributions)])

@@ -51,7 +51,7 @@ from magical_mj.scene import Scene
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks.planning import Noise
 from magical_mj.tasks.registry import sample_scene
-from magical_mj.utils.errors import IntentError, InvalidSceneError, SettingsError, check_name
+from magical_mj.utils.errors import IntentError, InvalidSceneError, SettingsError, as_integer, check_name, short_repr
 
 TASKS: Final = ("choose", "say", "place", "act")
 GIVEN: Final = ("demonstrations", "sentence", "both", "nothing", "wrong")
@@ -270,10 +270,14 @@ def questions(
     check_name("set", set, tuple(NAMES))
     check_name("given", given, GIVEN)
     number = scenes if demonstrations is None else demonstrations
-    if scenes not in SCENE_COUNTS or not scenes <= number <= 8 * scenes or frames < 0:
+    least = {"seed": 0, "scenes": 1, "demonstrations": 1, "frames": 0, "limit": 0}
+    values = (seed, scenes, number, frames, 0 if limit is None else limit)
+    for (name, smallest), value in zip(least.items(), values, strict=True):
+        if as_integer(value, smallest) is None:
+            raise SettingsError(f"{name} must be an integer of at least {smallest}, not {short_repr(value)}")
+    if scenes not in SCENE_COUNTS or not scenes <= number <= 8 * scenes:
         raise SettingsError(
-            f"scenes is one of {SCENE_COUNTS}, demonstrations is from scenes to 8 * scenes, and frames is 0 or more; "
-            f"not {scenes}, {number} and {frames}"
+            f"scenes is one of {SCENE_COUNTS}, and demonstrations is from scenes to 8 * scenes; not {scenes}, {number}"
         )
     if contrasting and scenes == 1:
         raise SettingsError("contrasting is for several demo scenes: give scenes=2, 4 or 8, or leave it out")

@@ -493,6 +493,28 @@ class Stuck(gymnasium.Wrapper[Any, Any, Any, Any]):
         return super().reset(seed=0)
 
 
+class Counting(gymnasium.ObservationWrapper[Any, Any, Any]):
+    """Adds the number of observations that it has seen, in all episodes, to each of them."""
+
+    seen = 0
+
+    def observation(self, observation: Any) -> Any:
+        self.seen += 1
+        return observation + self.seen
+
+
+def test_a_wrapper_keeps_no_state_of_earlier_episodes() -> None:
+    """Actions that depend on it are those of an evaluation that begins with the second scene."""
+
+    def parity(observation: Any) -> int:
+        return int(np.sum(observation)) % 18
+
+    where = {"tasks": "MoveToRegion", "variants": "Jitter", "preset": "State", "jobs": 1}
+    both = magical_mj.evaluate(parity, episodes=2, wrap=f"{__name__}:Counting", **where)
+    second = magical_mj.evaluate(parity, episodes=1, first_seed=1, wrap=f"{__name__}:Counting", **where)
+    assert both["actions"][1] == second["actions"][0]
+
+
 @pytest.mark.parametrize("wrapper", [Forgetful, Stuck])
 def test_a_wrapper_must_pass_the_seed_on(wrapper: type[gymnasium.Wrapper[Any, Any, Any, Any]]) -> None:
     """Otherwise the episodes of all seeds would be of other scenes than recorded."""

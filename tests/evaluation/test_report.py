@@ -24,8 +24,11 @@ from magical_mj.engine import Engine
 from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.evaluation.reports import report as page
 from magical_mj.evaluation.reports import results, tables
+from magical_mj.evaluation.reports.floors import new_place_floors, refuting_seeds
 from magical_mj.evaluation.reports.report import bars, extremes, heat_map, report
 from magical_mj.evaluation.reports.results import choose, compare, published_results
+from magical_mj.evaluation.reports.section import Inputs
+from magical_mj.evaluation.reports.tables import NONE
 from magical_mj.evaluation.scores import SCORES, EpisodeResult
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.policies.interface import letters_of
@@ -442,6 +445,36 @@ def test_scores_of_different_kinds_are_not_compared(different: dict[str, Any], t
     other = write(tmp_path / "other", [replace(score, **different) for score in example()])
     with pytest.raises(EvaluationError, match=f"different {next(iter(different))}"):
         compare(f"{one}:noop", f"{other}:noop")
+
+
+def test_other_bodies_are_reported_together(tmp_path: Path) -> None:
+    """The body is a part of the scene, so the scenes of a seed differ."""
+    longstick = replace(TEMPLATE, body="longstick", scene="b")
+    folders = [write(tmp_path / one.body, [one]) for one in (replace(TEMPLATE, scene="a"), longstick)]
+    text = report(folders, tmp_path / "page").read_text()
+    assert f"{TEMPLATE.policy} with longstick" in text
+
+
+def test_the_file_of_scores_is_no_folder(tmp_path: Path) -> None:
+    folder = write(tmp_path / "one", example())
+    with pytest.raises(EvaluationError, match="is a file of an evaluation: give its folder"):
+        report([folder / SCORES], tmp_path / "page")
+
+
+def test_floors_in_new_places_are_by_the_papers_rules(tmp_path: Path) -> None:
+    seed = min(refuting_seeds()["FixColour", "Colour"])
+    one = replace(TEMPLATE, task="FixColour", variant="Colour", seed=seed, score=0.0, scene=None)
+    floor = f"{new_place_floors()['FixColour', 'Colour']:.2f}"
+    for rules, shown in (("paper", floor), ("released", NONE)):
+        page = report([write(tmp_path / rules, [replace(one, rules=rules)])], tmp_path / f"{rules}-page")
+        assert f"| 0.00 | {NONE} | {shown} | 1/" in page.read_text()
+
+
+def test_sections_count_an_episode_of_two_folders_once(tmp_path: Path) -> None:
+    whole = write(tmp_path / "whole", example())
+    part = write(tmp_path / "part", example()[:2])
+    inputs = Inputs([whole, part], None, (), 1, lambda *_: None)
+    assert [episode for _, episode in inputs.episodes()] == example()
 
 
 def test_scores_in_different_worlds_are_not_compared(tmp_path: Path) -> None:

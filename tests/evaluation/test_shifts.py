@@ -103,16 +103,21 @@ def test_reports_show_what_shifts_do(tmp_path: Path) -> None:
     assert table.loc["camera:3", ["without", "mean"]].tolist() == pytest.approx([0.3125, 0.09375])
     assert table.loc["camera:3", "scenes"] == 3  # the scene that was not played without the shift has no pair
     points = curve(table[table["axis"] == "camera"].reset_index())
-    assert list(points) == [0, 1, 2, 3, 4, 5]
+    assert list(points) == [1, 2, 3, 4, 5]  # strength 3 was played in another run, too
     assert area({0: 1.0, 1: 1.0, 2: 0.5, 3: 0.5, 4: 0.0, 5: 0.0}) == pytest.approx(0.5)
     assert half_lost({0: 0.8, 1: 0.5, 2: 0.4, 3: 0.1}) == 2
     assert half_lost({0: 0.0, 1: 0.0}) is None
     page = report([folder], tmp_path / "out")
     text = page.read_text()
     assert "![Scores over the strength of each shift](shifts.png)" in text
-    assert "| BC_4 & more | 0.38 | 0.38 | 0.30 | 0.09 | 0.06 | 0.00 | 0.20 | 3 |" in text
+    assert "| BC_4 & more | – | 0.38 | 0.30 | 0.09 | 0.06 | 0.00 | – | – |" in text  # noqa: RUF001
+    assert "No value at strength 0: the strengths have different scenes." in text
     assert "| BC_4 & more | camera:1+latency:2 | 1.00 | 0.25 | -0.75 |" in text
     assert (tmp_path / "out" / "shifts.png").stat().st_size > 5000
+    same = write(tmp_path / "same", [score for score in scores if score.run == 0])
+    text = report([same], tmp_path / "whole").read_text()
+    assert "| BC_4 & more | 0.38 | 0.38 | 0.30 | 0.19 | 0.06 | 0.00 | 0.22 | 3 |" in text
+    assert "No value at strength 0" not in text
     write(tmp_path / "only", [score for score in scores if score.shift])
     with pytest.raises(EvaluationError, match="all episodes are shifted"):
         report([tmp_path / "only"], tmp_path / "none")

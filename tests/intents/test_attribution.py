@@ -42,7 +42,6 @@ from tests.helpers.evaluations import TEMPLATE
 from tools import last_solvable
 from tools.attribution import CHOICES, COLUMNS, ENDED, RESULTS, ROOT, covered, endings, measured_row, of_unsolved
 from tools.pages import filled
-from tools.test_scenes import REPLAYED, first_blocks, is_refuted
 
 CLOSE_GRIPPER = 9
 UNLEARNT = ("noop", "random", "replay", "state-goals")
@@ -123,23 +122,6 @@ def test_the_report_begins_with_how_often_a_right_block_moves_first() -> None:
     assert [*first_block_table([attributed(played("MoveToRegion", "Demo", 0, []))])] == []
 
 
-def test_the_files_of_test_scenes_are_what_the_scenes_and_a_replay_give() -> None:
-    for pair in (("FixColour", "Colour"), ("MoveToRegion", "Layout")):
-        assert refuting_seeds()[pair] == {seed for seed in range(100) if is_refuted(*pair, seed)}
-    assert not any(is_refuted(task, "All", seed) for task in ("MoveToCorner", "MakeLine") for seed in range(10))
-    task, variant = "FixColour", "Colour"
-    episodes = [
-        episode
-        for episode in read_entry(RESULTS / "replay").counted
-        if (episode.task, episode.variant) == (task, variant)
-        and episode.seed in sorted(refuting_seeds()[task, variant])[:REPLAYED]
-    ]
-    right = [found for found in attribute(episodes, jobs=1) if isinstance(found, Attribution) and found.right_first]
-    counts = [len(episodes), len(right), sum(found.episode.score == 1.0 for found in right)]
-    (row,) = (row for row in first_blocks() if [*row.values()][:3] == ["replay", task, variant])
-    assert [*row.values()][3:] == [*map(str, counts)]
-
-
 def test_remaining_is_the_length_of_the_rest_of_the_plan() -> None:
     episode = played("MoveToRegion", "Demo", 0, [])
     result = attributed(episode)
@@ -166,6 +148,16 @@ def test_episodes_that_cannot_be_explained_say_why() -> None:
     (result,) = attribute([replace(good, score=0.5)], jobs=1)
     assert not isinstance(result, Attribution)
     assert "its actions lead to 0" in result[1]
+
+
+def test_methods_that_were_given_other_demonstrations_have_rows_of_their_own(tmp_path: Path) -> None:
+    result = attributed(played("MoveToRegion", "Demo", 0, []))
+    given = ("4 demonstrations", "8 demonstrations")
+    episodes = [replace(result.episode, given=text) for text in given]
+    write_explanation(Explanation([replace(result, episode=episode) for episode in episodes]), tmp_path)
+    rows = pd.read_csv(tmp_path / "endings.csv")
+    assert rows["policy"].tolist() == [f"{result.episode.policy}, {text}" for text in given]
+    assert rows["episodes"].tolist() == [1, 1]
 
 
 def test_diagnose_says_which_rival_a_policy_pursued(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -236,3 +237,10 @@ def test_files_contain_questions_with_pictures(made: list[Question], tmp_path: P
     assert {field["name"] for field in described["recordSet"][0]["field"]} == set(lines[0])
     with pytest.raises(SettingsError):
         write(made[:1], tmp_path / "out", "test")
+
+
+@pytest.mark.parametrize("setting", [{"limit": -1}, {"limit": 1.5}, {"seed": -1}, {"scenes": 2.0}, {"frames": True}])
+def test_settings_that_are_no_numbers_are_explained(setting: dict[str, Any]) -> None:
+    (name,) = setting
+    with pytest.raises(SettingsError, match=f"{name} must be an integer of at least"):
+        questions("say", "dev", **setting)

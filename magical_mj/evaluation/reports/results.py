@@ -34,7 +34,7 @@ KEY: Final = ["policy", "run", "task", "variant", "shift", "seed"]
 SCENE: Final = ["variant", "shift", "task", "seed"]
 """The columns that identify a scene."""
 KINDS: Final = ("rules", "preset", "scene", "worlds", "split", "failure")
-NAMES: Final = ("policy", "task", "variant", "shift", *KINDS, "version", "mujoco", "gl", "given", "other")
+NAMES: Final = ("policy", "task", "variant", "shift", "body", *KINDS, "version", "mujoco", "gl", "given", "other")
 """The text columns, stored as categories. One more, `folder`, holds the folder of each episode."""
 SAME: Final = [*KEY, *KINDS, "score", "actions"]
 """The columns that must be the same in two records of one episode."""
@@ -223,7 +223,7 @@ def check_alike(scores: pd.DataFrame) -> None:
     """Raises an `EvaluationError` if a column of `ALIKE` differs, or if the scenes of a seed have different digests."""
     for what, consequence in ALIKE.items():
         check_same(scores, what, consequence)
-    scene = ["task", "variant", "shift", "seed"]
+    scene = ["task", "variant", "shift", "body", "seed"]
     digests = scores.dropna(subset=["scene"]).drop_duplicates([*scene, "scene"])
     differing = digests[digests.duplicated(scene, keep=False)].sort_values([*scene, "folder"], kind="stable")
     if len(differing):

@@ -10,8 +10,9 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
+from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.reports.results import episodes_of
 from magical_mj.evaluation.reports.tables import Table, csv
 from magical_mj.evaluation.scores import EpisodeResult, Key
@@ -51,9 +52,16 @@ class Inputs:
     watch: Callable[[int, int], object]
     """Called with a number of episodes, and the total."""
 
-    def episodes(self, folder: Path) -> Iterator[EpisodeResult]:
-        """The episodes of one of the folders; see `episodes_of`."""
-        return episodes_of(folder, self.rules, self.trusted, jobs=self.jobs, watch=self.watch)
+    def episodes(self) -> Iterator[tuple[Mapping[str, Any], EpisodeResult]]:
+        """Each episode of the folders once, with the recorded settings of its evaluation; see `episodes_of`."""
+        known = set[tuple[Any, ...]]()
+        for folder in self.folders:
+            recorded = recorded_settings(folder)
+            for episode in episodes_of(folder, self.rules, self.trusted, jobs=self.jobs, watch=self.watch):
+                key = episode.method, *episode.key
+                if key not in known:  # a folder and its copy hold the same episodes
+                    known.add(key)
+                    yield recorded, episode
 
 
 @dataclass(frozen=True, kw_only=True)

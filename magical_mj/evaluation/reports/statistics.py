@@ -14,6 +14,7 @@ Shifts are compared with strength 0, the control: the same policies in the same 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -170,7 +171,8 @@ def by_shift(scores: pd.DataFrame) -> pd.DataFrame:
 
     Returns:
         A row for each policy and shift: the `axis` and its `strength` (NaN for combined shifts and for bodies), the
-        mean score with the shift (`mean`) and without it (`without`), and the other columns of `difference`.
+        mean score with the shift (`mean`) and without it (`without`), the other columns of `difference`, and whether
+        all strengths of the axis were played in the same scenes (`same_scenes`).
     """
     import pandas as pd
 
@@ -178,11 +180,13 @@ def by_shift(scores: pd.DataFrame) -> pd.DataFrame:
     episode = ["policy", "run", "task", "variant", "seed"]
     without = played[played["shift"] == ""]
     rows: list[dict[str, Any]] = []
+    scenes = defaultdict[tuple[str, str], set[int]](set)
     for (policy, shift), group in played[played["shift"] != ""].groupby(["policy", "shift"]):
         both = group[episode].merge(without[episode])
         if both.empty:
             continue
-        axis, strength = axis_and_strength(str(shift)) or (shift, math.nan)
+        axis, strength = axis_and_strength(str(shift)) or (str(shift), math.nan)
+        scenes[str(policy), axis].add(hash(frozenset(both.itertuples(index=False, name=None))))
         compared = difference(group.merge(both), without.merge(both), same_runs=True)
         rows.append(
             {
@@ -195,15 +199,21 @@ def by_shift(scores: pd.DataFrame) -> pd.DataFrame:
                 **compared,
             }
         )
+    for row in rows:
+        row["same_scenes"] = len(scenes[row["policy"], row["axis"]]) == 1
     order = list(SHIFTS)
     rows.sort(key=lambda row: order.index(row["axis"]) if row["axis"] in order else len(order))
     return pd.DataFrame(rows)
 
 
 def curve(rows: pd.DataFrame) -> dict[int, float]:
-    """The mean score at each played strength, from the rows of one policy and axis. Strength 0 is without the shift."""
+    """The mean score at each played strength, from the rows of one policy and axis.
+
+    Strength 0, without the shift, is left out if strengths were played in different scenes.
+    """
     points = {int(row.strength): float(row.mean) for row in rows.itertuples()}
-    return {0: float(rows["without"].iloc[0]), **dict(sorted(points.items()))}
+    start = {0: float(rows["without"].iloc[0])} if rows["same_scenes"].all() else {}
+    return {**start, **dict(sorted(points.items()))}
 
 
 def area(points: dict[int, float]) -> float:
@@ -214,6 +224,8 @@ def area(points: dict[int, float]) -> float:
 
 
 def half_lost(points: dict[int, float]) -> int | None:
-    """The first strength with at most half of the score at strength 0. None if there is none."""
+    """The first strength with at most half of the score at strength 0. None if there is none, or no strength 0."""
+    if 0 not in points:
+        return None
     lost = [strength for strength, score in points.items() if strength and score <= points[0] / 2 + SCORE_TOLERANCE]
     return min(lost) if lost and points[0] > SCORE_TOLERANCE else None

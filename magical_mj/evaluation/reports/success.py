@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Meta
 
-from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.replay import engine_for, in_chunks, obstacle, replay_problem
 from magical_mj.evaluation.reports.intervals import Estimate, mean_over
 from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSection, write_page
@@ -75,7 +74,7 @@ def frame_of(results: Iterable[First]) -> pd.DataFrame:
         }
         for episode, first, _ in results
     ]
-    frame = pd.DataFrame(rows).drop_duplicates()  # a folder and its copy hold the same episodes
+    frame = pd.DataFrame(rows)
     ranks = {"task": in_order(frame["task"]), "variant": list(EVERY_VARIANT)}
     return frame.sort_values(
         ["policy", *ENVIRONMENT, "run", "seed"],
@@ -140,13 +139,11 @@ class SuccessSection(ReportSection):
     def prepare(self, inputs: Inputs) -> Prepared:
         """Replays all episodes."""
         problems, playable, found = Counter[str](), list[EpisodeResult](), list[First]()
-        for folder in inputs.folders:
-            recorded = recorded_settings(folder)
-            for episode in inputs.episodes(folder):
-                if problem := obstacle(episode, recorded, inputs.trusted):
-                    problems[problem] += 1
-                else:
-                    playable.append(episode)
+        for recorded, episode in inputs.episodes():
+            if problem := obstacle(episode, recorded, inputs.trusted):
+                problems[problem] += 1
+            else:
+                playable.append(episode)
         for done, result in enumerate(first_successes(playable, jobs=inputs.jobs), start=1):
             inputs.watch(done, len(playable))
             if problem := result[2]:

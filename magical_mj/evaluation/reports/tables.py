@@ -137,13 +137,14 @@ def _new_places(results: Results) -> Iterator[Table]:
         seed in seeds.get((task, variant), ())
         for task, variant, seed in played[["task", "variant", "seed"]].itertuples(index=False, name=None)
     ]
-    rows = []
+    rows, by_paper = [], not (played["rules"] != "paper").any()
     for policy, group in played[refuted].groupby("policy", sort=False, observed=True):
         environments = dict(list(group.groupby(["task", "variant"], observed=True)))
         found = mean_over((pair[0], pair, by_run_and_scene(rows)) for pair, rows in environments.items())
         lowest = sum(new_place_floors()[pair] for pair in environments) / len(environments)
         interval = NONE if math.isnan(found.low) else f"[{found.low:.2f}, {found.high:.2f}]"
-        rows.append((str(policy), f"{found.value:.2f}", interval, f"{lowest:.2f}", f"{len(environments)}/{len(seeds)}"))
+        floor = f"{lowest:.2f}" if by_paper else NONE
+        rows.append((str(policy), f"{found.value:.2f}", interval, floor, f"{len(environments)}/{len(seeds)}"))
     yield from _plain(
         "new_places",
         "Mean score in new places: the scenes where it is wrong to move what stands where the demonstrations moved "
@@ -299,6 +300,7 @@ def shift_tables(shifts: pd.DataFrame) -> Iterator[Table]:
             "and the first strength with at most half of the score at strength 0",
             ("Method", *strengths, "area", "half lost at"),
             _by_axis(single, _means),
+            () if single["same_scenes"].all() else ("No value at strength 0: the strengths have different scenes.",),
         )
         yield Table(
             "differences",
