@@ -15,7 +15,6 @@ set.
 
 from __future__ import annotations
 
-import lzma
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -29,17 +28,17 @@ import magical_mj
 from magical_mj.evaluation.replay import replay
 from magical_mj.evaluation.reports.intervals import Cell, Estimate, estimate
 from magical_mj.evaluation.scores import EpisodeResult, read
-from magical_mj.evaluation.scores import parse as episode_in
 from magical_mj.intents import shortcuts
 from magical_mj.intents.by_set import by_intent, set_of
 from magical_mj.intents.given import OFFICIAL_VARIANTS
 from magical_mj.intents.names import TESTS, tasks_in
 from magical_mj.intents.tasks import PREFIX
 from magical_mj.utils.errors import EvaluationError
+from tools.stored_episodes import RESULTS, store, stored
 from tools.tables import ROOT, filled, table
 
-KEPT: Final = ROOT / "results" / "intents.jsonl.xz"
-"""The file of the episodes: lines as of an evaluation, with the name of the baseline as policy."""
+EPISODES: Final = RESULTS / "intents.jsonl.xz"
+"""The episodes, with the name of the baseline as policy."""
 PAGE: Final = ROOT / "docs" / "intents-evaluation.md"
 SECONDS: Final = 3600.0
 """The time limit of an episode. It includes a training, on a machine that may do other work."""
@@ -152,19 +151,6 @@ def episodes_of(folder: Path) -> list[EpisodeResult]:
     return []
 
 
-def kept() -> list[EpisodeResult]:
-    """The episodes in the file of the repository; none before a first `write OUT`."""
-    lines = lzma.decompress(KEPT.read_bytes()).splitlines() if KEPT.exists() else []
-    return [episode_in(line) for line in lines]
-
-
-def keep(episodes: Sequence[EpisodeResult]) -> None:
-    """Adds episodes to the file. They replace all earlier ones of the same baselines."""
-    new = {one.policy for one in episodes}
-    lines = "".join(one.line() for one in [*(one for one in kept() if one.policy not in new), *episodes])
-    KEPT.write_bytes(lzma.compress(lines.encode(), preset=9 | lzma.PRESET_EXTREME))
-
-
 def differences(episodes: Iterable[EpisodeResult], jobs: int | None = None) -> list[str]:
     """Replays episodes. A sentence for each that does not lead to its scene and score."""
     return [difference for *_, difference in replay((("", one) for one in episodes), jobs=jobs) if difference]
@@ -172,13 +158,13 @@ def differences(episodes: Iterable[EpisodeResult], jobs: int | None = None) -> l
 
 def check() -> None:
     """Replays a random tenth of the episodes, as the leaderboard does with its entries."""
-    every = kept()
+    every = stored(EPISODES)
     if not every:
         return
     chosen = [every[number] for number in np.random.default_rng().choice(len(every), len(every) // 10, replace=False)]
     if different := differences(chosen):
         sys.exit("\n".join(different))
-    print(f"{KEPT.name}: {len(chosen)} of {len(every)} episodes were replayed, with the same scores")
+    print(f"{EPISODES.name}: {len(chosen)} of {len(every)} episodes were replayed, with the same scores")
 
 
 def means(episodes: Sequence[EpisodeResult], measure: str = MEASURE) -> dict[str, Estimate]:
@@ -207,7 +193,7 @@ def baselines(episodes: Sequence[EpisodeResult]) -> str:
 
 def write() -> None:
     """Writes the table."""
-    tables = {"baselines": baselines(kept())}
+    tables = {"baselines": baselines(stored(EPISODES))}
     PAGE.write_text(filled(PAGE.read_text("utf-8"), tables, "python -m tools.intent_baselines"), "utf-8")
 
 
@@ -219,7 +205,7 @@ if __name__ == "__main__":
             check()
         case ["write", *out]:
             if out:
-                keep(whole(*map(Path, out)))
+                store(EPISODES, whole(*map(Path, out)))
             write()
         case _:
             sys.exit(__doc__)

@@ -7,38 +7,23 @@ episodes into results/shifts.jsonl.xz, and `python -m tools.tables` makes the ta
 from __future__ import annotations
 
 import argparse
-import lzma
-import sys
 from pathlib import Path
 from typing import Final
 
 import pandas as pd
 
-from magical_mj.evaluation.scores import EpisodeResult, parse, read
+from magical_mj.evaluation.scores import read
 from magical_mj.shifts.registry import axis_and_strength
-from tools.pages import ROOT, number, table
+from tools.pages import number, table
+from tools.stored_episodes import RESULTS, store, stored
 
-KEPT: Final = ROOT / "results" / "shifts.jsonl.xz"
-"""The file of the episodes: lines as of an evaluation."""
+EPISODES: Final = RESULTS / "shifts.jsonl.xz"
 STRENGTHS: Final = range(6)
-
-
-def episodes() -> list[EpisodeResult]:
-    """The episodes in the file of the repository."""
-    return [parse(line) for line in lzma.decompress(KEPT.read_bytes()).splitlines()]
-
-
-def pack(folders: list[Path]) -> None:
-    """Writes the file of the repository from the folders of evaluations. An existing one is not replaced."""
-    if KEPT.exists():
-        sys.exit(f"{KEPT} exists already: move it elsewhere first")
-    lines = "".join(episode.line() for folder in folders for episode in read(folder))
-    KEPT.write_bytes(lzma.compress(lines.encode(), preset=9 | lzma.PRESET_EXTREME))
 
 
 def tables() -> dict[str, str]:
     """The mean scores by axis and strength. All tasks count equally. The lowest score at strength 5 comes first."""
-    rows = [(*(axis_and_strength(one.shift) or ("", 0)), one.task, one.score) for one in episodes()]
+    rows = [(*(axis_and_strength(one.shift) or ("", 0)), one.task, one.score) for one in stored(EPISODES)]
     found = pd.DataFrame(rows, columns=["axis", "strength", "task", "score"])
     of_task = found.groupby(["axis", "strength", "task"])["score"].mean()
     plain, lines = of_task[""][0], list[list[str]]()
@@ -54,4 +39,4 @@ def tables() -> dict[str, str]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", type=Path, help="evaluations")
-    pack(parser.parse_args().folders)
+    store(EPISODES, [episode for folder in parser.parse_args().folders for episode in read(folder)])

@@ -16,7 +16,7 @@ from magical_mj.scene import constants as c
 from magical_mj.shifts import SHIFTS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.variants import VARIANTS, Axis
-from tools import demonstration_sets, learner_settings, learnt_rewards, pretraining, scores, shift_curves
+from tools import demonstration_sets, fresh_scenes, learner_settings, learnt_rewards, pretraining, scores, shift_curves
 from tools.pages import ROOT, filled, table
 
 AXES: Final[dict[Axis, str]] = {
@@ -91,6 +91,7 @@ PAGES: Final[Mapping[str, Callable[[], dict[str, str]]]] = {
     "docs/results-paper.md": scores.comparisons,
     "docs/shift-curves.md": shift_curves.tables,
     "docs/shifts.md": shifts,
+    "methods/relational/README.md": fresh_scenes.tables,
 }
 """Page -> the function that makes its tables."""
 

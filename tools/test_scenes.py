@@ -86,11 +86,12 @@ def blocks() -> None:
     rows = [tuple(row.values()) for row in first_blocks()] if BLOCKS.exists() else []
     done = {row[0] for row in rows}
     for folder in sorted(path for path in RESULTS.iterdir() if path.is_dir() and path.name not in done):
-        rows += [(folder.name, *row) for row in _moved_first(read_entry(folder))]
+        rows += [(folder.name, *row) for row in moved_first(read_entry(folder))]
         _write(BLOCKS, COLUMNS, rows)
 
 
-def _moved_first(entry: Entry) -> Iterator[tuple[str, ...]]:
+def moved_first(entry: Entry) -> Iterator[tuple[str, ...]]:
+    """The rows of an entry in `BLOCKS`, without its name."""
     run = entry.runs[0]
     for pair, seeds in refuting_seeds().items():
         episodes = [

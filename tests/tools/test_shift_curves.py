@@ -7,7 +7,8 @@ from pathlib import Path
 
 from magical_mj import TASKS
 from magical_mj.evaluation.replay import replay
-from tools.shift_curves import episodes
+from tools.shift_curves import EPISODES
+from tools.stored_episodes import stored
 
 NEVER = "\N{EN DASH}"
 PAGE = (Path(__file__).parents[2] / "docs" / "shift-curves.md").read_text("utf-8")
@@ -46,12 +47,12 @@ def test_the_page_names_the_shifts_that_break_cloning_from_states() -> None:
 
 def test_the_episodes_from_states_are_complete_and_replay() -> None:
     """All axes and strengths in all tasks, 50 episodes each; one of each axis is replayed."""
-    stored = episodes()
-    counts = Counter((one.task, one.shift) for one in stored)
+    episodes = stored(EPISODES)
+    counts = Counter((one.task, one.shift) for one in episodes)
     assert set(counts.values()) == {50}
     axes = {one: [shift for task, shift in counts if task == one] for one in TASKS}
     assert {task: len(shifts) for task, shifts in axes.items()} == {
         task: 1 + 5 * (5 - (task == "MoveToCorner")) for task in TASKS
     }
-    chosen = [next(one for one in stored if one.shift == shift) for shift in axes["FindDupe"][1::5]]
+    chosen = [next(one for one in episodes if one.shift == shift) for shift in axes["FindDupe"][1::5]]
     assert [problem for *_, problem in replay((("", one) for one in chosen), jobs=1)] == [None] * 5
