@@ -31,8 +31,9 @@ from magical_mj.leaderboard.standings import (
 )
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.web.page_data import SCENES
-from tools.intent_baselines import baselines, kept
+from tools.intent_baselines import EPISODES, baselines
 from tools.scores import by_released_rules, own_methods
+from tools.stored_episodes import stored
 from tools.test_scenes import right_first
 
 ROOT: Final = Path(__file__).parent.parent
@@ -111,7 +112,7 @@ def standings_page(methods: Mapping[str, Standing]) -> str:
             parts.append(f'<section class="block" data-block="{block}">\n\n## {heading}\n\n{table}\n\n</section>')
     parts += ["## By variant", _dots(own.values())]
     parts += ["## Who beats whom", _duels(own, beats), "## What it cost", _costs(methods.values())]
-    if episodes := kept():
+    if episodes := stored(EPISODES):
         parts += ["## Intents", INTENTS, baselines(episodes)]
     parts.append('<script src="_static/standings.js" type="module"></script>')
     return "\n\n".join(parts) + "\n"
@@ -225,10 +226,22 @@ def _details(name: str, method: Standing) -> str:
             cells.append(f'<td class="figure" style="--share: {round(100 * means.mean())}%">{shown}</td>')
         rows.append(f'<tr><th scope="row">{task}</th>{"".join(cells)}</tr>')
     head = "".join(f'<th scope="col">{variant}</th>' for variant in ("Task", *VARIANTS))
-    about = "" if method.kind == "published" else f"<p>{escape(method.entry.card.description or '')}</p>"
+    about = (
+        "" if method.kind == "published" else f"<p>{escape(method.entry.card.description or '')}</p>{_checked(method)}"
+    )
     watch = f"<p>Mean scores{'; each opens the first episode there' if stored else ''}.</p>"
     table = f'<table class="heat"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
     return f"{about}{watch}{table}{_endings(name)}{_repeat(method)}"
+
+
+def _checked(method: Standing) -> str:
+    """How the method was checked, and what it lacks to be official."""
+    words = "the actions lead to these scores, but anybody can tape an expert."
+    if method.rerun is not None:
+        words = "in fresh scenes, its policies score {:+.2f} [{:+.2f}, {:+.2f}] more.".format(*method.rerun)
+    lacks = f" Partial: {', '.join(method.gaps)}." if method.gaps else ""
+    level = f'<a href="leaderboard.html#making-the-leaderboard">{method.level.capitalize()}</a>'
+    return f"<p>{level}: {escape(words + lacks)}</p>"
 
 
 def _endings(name: str) -> str:

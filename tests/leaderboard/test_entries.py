@@ -235,6 +235,17 @@ def test_policies_in_an_entry_play_fresh_scenes(tmp_path: Path) -> None:
         stored_policies(entry)
 
 
+@pytest.mark.weekly
+def test_the_policies_of_our_entry_score_the_same_in_fresh_scenes() -> None:
+    folder = Path(__file__).parents[2] / "results" / "state-bc"
+    policies = stored_policies(folder)
+    assert [(policy.run, policy.task) for policy in policies] == [(5, task) for task in sorted(magical_mj.TASKS)]
+    entry = read_entry(folder)
+    found = rerun(entry, policies, first_seed=0)
+    assert not found.decided
+    assert standing(entry, found).kind == "official"
+
+
 def test_a_protocol_that_is_no_number_is_explained(folder: Path, tmp_path: Path) -> None:
     settings = json.loads((folder / SETTINGS).read_text())
     for number in ([1], "1", True, 0):

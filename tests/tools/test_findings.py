@@ -19,7 +19,7 @@ from magical_mj.evaluation.reports.statistics import rank_correlation
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.leaderboard.standings import ABOVE, COMMON, GROUPS, Standing, difference, published
 from magical_mj.scene import constants as c
-from tools import pretraining
+from tools import fresh_scenes, pretraining
 from tools.claims import COMPARABLE, FEW, OURS, claims, compared, verdict
 from tools.demonstration_sets import ENTRIES, gained, lost
 from tools.scores import by_released_rules, compared_with_the_paper, own_methods
@@ -131,6 +131,9 @@ def findings() -> dict[str, list[float | str | Estimate]]:
             mean(DRAWN, "Layout", tasks=REGION),
             mean(PIXELS, "Layout", tasks=REGION),
         ],
+        "Does `relational` score less in scenes that nobody had played?": [
+            fresh_scenes.compared(fresh_scenes.tasks())[2]
+        ],
         "The scenes can be solved.": [score("state-goals")],
         "BC from images scores more in Layout than from states.": [
             less(PIXELS, STATES, "Layout", tasks=WITH_LAYOUT),
@@ -156,7 +159,7 @@ def findings() -> dict[str, list[float | str | Estimate]]:
 
 def written(figure: float | str | Estimate) -> str:
     if isinstance(figure, Estimate):
-        return "{:+.2f} [{:+.2f}, {:+.2f}]".format(*figure)
+        return "{:+.2f} [{:+.2f}, {:+.2f}]".format(*(round(end, 2) + 0.0 for end in figure))  # no -0.00
     return figure if isinstance(figure, str) else f"{figure:.2f}"
 
 
