@@ -182,7 +182,7 @@ def by_file_name(episodes: Iterable[tuple[str, EpisodeResult]]) -> dict[str, tup
     """The episodes by the names of the videos that `film_episodes` makes."""
     named: dict[str, tuple[str, EpisodeResult]] = {}
     for which, score in episodes:
-        name = UNUSABLE.sub("-", f"{which}-{score.policy}-{score.task}.mp4")
+        name = UNUSABLE.sub("-", f"{which}-{score.method}-{score.task}.mp4")
         named[f"{len(named)}-{name}" if name in named else name] = which, score  # methods a/b and a-b are the same here
     return named
 
@@ -196,5 +196,5 @@ def film_episodes(
         with film(out / name, REPORT_SIZE, REPORT_SPEED, overwrite=True) as movie:
             replay(movie, score, renderer)
         about = f"{score.variant}, seed {score.seed}, score {score.score:.2f}"
-        links[f"{score.policy}, {which} of {score.task}: {about}"] = name
+        links[f"{score.method}, {which} of {score.task}: {about}"] = name
     return links

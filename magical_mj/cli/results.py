@@ -75,7 +75,7 @@ def make_report(
     out = make_writable_folder(out or folders[0] / "report")
     replaced = begin(out, [*by_file_name(episodes), *(section.folder for section in wanted)])
     links = film_episodes(episodes, out)
-    films = {score.key: f"../{name}" for name, (_, score) in by_file_name(episodes).items()}
+    films = {score: f"../{name}" for name, (_, score) in by_file_name(episodes).items()}
     for section, (write, _) in zip(wanted, prepared, strict=True):
         links = {section.title: f"{section.folder}/{write(out / section.folder, films).name}", **links}
     page = write_report(data, out, links, [table for one in prepared for table in one.tables])

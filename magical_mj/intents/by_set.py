@@ -22,7 +22,7 @@ from magical_mj.evaluation.replay import engine_for, replay_problem
 from magical_mj.evaluation.reports.intervals import Cell, Estimate, estimate
 from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSection, write_page
 from magical_mj.evaluation.reports.tables import NONE, Table, markdown
-from magical_mj.evaluation.scores import EpisodeResult, Key
+from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents.draws import in_sets
 from magical_mj.intents.given import OFFICIAL_VARIANTS
 from magical_mj.intents.tasks import PREFIX, task_of
@@ -134,7 +134,7 @@ def _text(value: Estimate) -> str:
     return f"{value.value:.2f}" if np.isnan(value.low) else f"{value.value:.2f} ({value.low:.2f} to {value.high:.2f})"
 
 
-def write_rows(every: Sequence[Row], out: Path, _: Mapping[Key, str]) -> Path:
+def write_rows(every: Sequence[Row], out: Path, _: Mapping[EpisodeResult, str]) -> Path:
     """Writes the page and intents.csv into a folder. Returns the path of the page."""
     import pandas as pd
 

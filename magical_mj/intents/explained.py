@@ -22,7 +22,7 @@ from PIL import Image
 from magical_mj.evaluation.replay import engine_for
 from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSection, write_page
 from magical_mj.evaluation.reports.tables import Table, markdown
-from magical_mj.evaluation.scores import EpisodeResult, Key
+from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents.attribution import (
     FAILURES,
     Attribution,
@@ -97,7 +97,7 @@ def explain(inputs: Inputs, lost: int = 0) -> Explanation:
     return found
 
 
-def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = MappingProxyType({})) -> Path:
+def write_explanation(found: Explanation, out: Path, films: Mapping[EpisodeResult, str] = MappingProxyType({})) -> Path:
     """Writes the page, its pictures, and two files of numbers into a folder, over those of an earlier report.
 
     `films` are the paths of episodes' films, relative to the folder. Returns the path of the page.
@@ -173,7 +173,7 @@ def _lost(results: Sequence[LastSolvable]) -> Table:
     return Table("lost", caption, header, tuple(groups), _definitions(FAILURES, shown))
 
 
-def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[Key, str]) -> list[str]:
+def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[EpisodeResult, str]) -> list[str]:
     """The table and the pictures of one method and task. A sentence instead of a table if the task has no rivals."""
     task, method = shown_task(group[0].episode), group[0].episode.method
     variants = _grouped(group, "variant")
@@ -227,13 +227,13 @@ def _listed(group: Sequence[Attribution]) -> list[tuple[int, ...]]:
     return classes[:SHOWN] + ([()] if not all(result.rivals for result in group) else [])
 
 
-def _about(sentence: str, examples: Sequence[Attribution], films: Mapping[Key, str]) -> str:
+def _about(sentence: str, examples: Sequence[Attribution], films: Mapping[EpisodeResult, str]) -> str:
     """What a picture shows."""
     parts = []
     for result in examples:
         episode = result.episode
         text = f"{episode.variant}, seed {episode.seed}, run {episode.run}"
-        film = films.get(episode.key)
+        film = films.get(episode)
         parts.append(escape.markdown_link(f"{text} (film)", quote(film)) if film else escape.markdown(text))
     return f"{escape.markdown(sentence)} First and last scenes: {'; '.join(parts)}."
 

@@ -367,6 +367,8 @@ def test_extremes_are_the_best_and_the_worst_of_each_task() -> None:
     assert ("best", "noop", "MoveToCorner", 0.25) in chosen
     assert ("worst", "noop", "MoveToCorner", 0.0) in chosen
     assert len(chosen) == len(set(chosen)) == 8
+    methods = [replace(TEMPLATE, given=f"{number} demonstrations") for number in (4, 8)]
+    assert extremes(methods) == [("best", one) for one in methods]
 
 
 def side(folder: Path, values: dict[Pair, list[float]], run: int = 0) -> list[EpisodeResult]:

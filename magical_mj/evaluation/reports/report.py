@@ -231,11 +231,11 @@ def _settings(data: Results) -> str:
 
 
 def extremes(scores: Iterable[EpisodeResult]) -> list[tuple[str, EpisodeResult]]:
-    """The episodes for videos: the first best one of each policy and task, and the first worst one if it is worse."""
+    """The episodes for videos: the first best one of each method and task, and the first worst one if it is worse."""
     best: dict[tuple[str, str], EpisodeResult] = {}
     worst: dict[tuple[str, str], EpisodeResult] = {}
     for score in scores:
-        key = score.policy, score.task
+        key = score.method, score.task
         if score.actions and not score.shift:
             best[key] = max(best.get(key, score), score, key=attrgetter("score"))
             worst[key] = min(worst.get(key, score), score, key=attrgetter("score"))

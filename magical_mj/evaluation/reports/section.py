@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.reports.results import episodes_of
 from magical_mj.evaluation.reports.tables import Table, csv
-from magical_mj.evaluation.scores import EpisodeResult, Key
+from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 SECTION_GROUP: Final = "magical_mj.report_sections"
 """The entry-point group of sections."""
 
-Write = Callable[[Path, Mapping[Key, str]], Path]
+Write = Callable[[Path, Mapping[EpisodeResult, str]], Path]
 """Writes the files of a section into a folder, over those of an earlier report, and returns its page. The mapping has
 the paths of episodes' films, relative to the folder."""
 

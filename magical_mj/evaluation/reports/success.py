@@ -22,7 +22,7 @@ from magical_mj.evaluation.reports.intervals import Estimate, mean_over
 from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSection, write_page
 from magical_mj.evaluation.reports.statistics import by_run_and_scene
 from magical_mj.evaluation.reports.tables import NONE, Table, markdown
-from magical_mj.evaluation.scores import EpisodeResult, Key
+from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.tasks.registry import EVERY_VARIANT, in_order
 from magical_mj.utils.errors import SettingsError, counted
 from magical_mj.utils.parallel import map_unordered
@@ -118,7 +118,7 @@ def _share(environments: Sequence[pd.DataFrame], solved: Callable[[pd.DataFrame]
     return f"{mean.value:.2f}" if np.isnan(mean.low) else f"{mean.value:.2f} [{mean.low:.2f}, {mean.high:.2f}]"
 
 
-def write_success(frame: pd.DataFrame, problems: Counter[str], out: Path, _: Mapping[Key, str]) -> Path:
+def write_success(frame: pd.DataFrame, problems: Counter[str], out: Path, _: Mapping[EpisodeResult, str]) -> Path:
     """Writes the page and success.csv, with a row for each episode, into a folder. Returns the path of the page."""
     left = [f"- {counted(number, 'episode')} left out: {why}" for why, number in problems.most_common()]
     return write_page(out / PAGE, ["# Success", *left, markdown(table(frame))], {"success.csv": frame})
