@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
@@ -159,7 +159,7 @@ def with_values(settings: Callable[..., T], values: Mapping[str, Any]) -> T:
 def with_changes(settings: Callable[..., T], changes: Mapping[str, Any]) -> T:
     """As `with_values`, but values may be text. Names of parts' settings contain dots, as in "ppo.clip"."""
     _check_known(changes, described(settings))
-    return _with_changes(settings, changes, "")
+    return _with_changes(settings, changes, "", None)
 
 
 def _check_known(names: Iterable[str], known: Collection[str]) -> None:
@@ -169,14 +169,19 @@ def _check_known(names: Iterable[str], known: Collection[str]) -> None:
             raise UnknownArgumentError(str(unknown_name("setting", name, known)))
 
 
-def _with_changes(settings: Callable[..., T], changes: Mapping[str, Any], prefix: str) -> T:
+def _with_changes(settings: Callable[..., T], changes: Mapping[str, Any], prefix: str, default: Any) -> T:
+    """New settings with these changes. `default` has the other values of a part. None: those of the class."""
     values: dict[str, Any] = {}
-    for name, kind in annotated(settings).items():
-        path = f"{prefix}{name}"
-        if is_dataclass(part := _plain(kind)):
-            values[name] = _with_changes(part, changes, f"{path}.")  # pyright: ignore[reportArgumentType]
+    for item in fields(settings):  # pyright: ignore[reportArgumentType]
+        kind, path = annotated(settings)[item.name], f"{prefix}{item.name}"
+        if is_dataclass(_plain(kind)):
+            part = item.default if item.default_factory is MISSING else item.default_factory()
+            part = part if default is None else getattr(default, item.name)
+            values[item.name] = _with_changes(type(part), changes, f"{path}.", part)
         elif path in changes:
-            values[name] = fitting(path, changes[path], kind, text=True)
+            values[item.name] = fitting(path, changes[path], kind, text=True)
+        elif default is not None:
+            values[item.name] = getattr(default, item.name)
     return settings(**values)
 
 

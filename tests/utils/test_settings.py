@@ -76,6 +76,16 @@ def test_changes_may_be_text_and_reach_parts() -> None:
         assert problem in str(caught.value)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Biscuit(Cake):
+    oven: Oven = field(default_factory=lambda: Oven(heat=150.0))
+
+
+def test_changes_keep_the_defaults_that_a_subclass_gives_to_parts() -> None:
+    assert with_changes(Biscuit, {"eggs": 1}).oven == Oven(heat=150.0)
+    assert with_changes(Biscuit, {"oven.fan": True}).oven == Oven(heat=150.0, fan=True)
+
+
 def test_the_command_line_learns_types_bounds_and_meanings() -> None:
     known = described(Cake)
     assert list(known) == ["eggs", "layers", "taste", "guests", "recipe", "sizes", "notes", "oven.heat", "oven.fan"]
