@@ -351,7 +351,7 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = ""
     if needed != preset:
         raise SettingsError(f"the policy needs the preset {needed}, not {preset}: give --preset {needed}")
     _check_tasks(policy, pairs, like)
-    shapes, fitting = getattr(policy, "observation_shapes", None), _fitting(policy)
+    shapes, fitting = _accepted(policy), _fitting(policy)
     if shapes and preset not in fitting and "observations" in uses_of(policy):
         remedy = f"give --preset {' or '.join(fitting)}" if fitting else "no preset has observations of this shape"
         gives = observation_space(PRESETS[preset]).shape or "a dict"
@@ -377,9 +377,14 @@ def _check_tasks(policy: object, pairs: Sequence[Pair], like: str) -> None:
         )
 
 
+def _accepted(policy: object) -> list[Shape]:
+    """The shapes of observations that a policy accepts. Empty if it does not name any."""
+    return list(getattr(policy, "observation_shapes", None) or ())
+
+
 def _fitting(policy: object) -> list[str]:
-    """The presets whose observations have one of the shapes that a policy accepts. Empty if it does not name any."""
-    accepted: Sequence[Shape] = getattr(policy, "observation_shapes", None) or ()
+    """The presets whose observations have one of these shapes."""
+    accepted = _accepted(policy)
 
     def fits(name: str) -> bool:
         shape = observation_space(PRESETS[name]).shape or ()  # empty for dicts
