@@ -114,8 +114,12 @@ def write_docs(folder: Path) -> None:
 
 def _rerun(name: str, method: Standing) -> Standing:
     """The method after its policies have played fresh scenes, if its entry holds them."""
-    policies = stored_policies(RESULTS / name)
-    return standing(method.entry, rerun(method.entry, policies, first_seed=0)) if policies else method
+    if not (policies := stored_policies(RESULTS / name)):
+        return method
+    found = rerun(method.entry, policies, first_seed=0)
+    if found.decided:
+        raise SystemExit(f"results/{name}: its policies do not score as the entry says")
+    return standing(method.entry, found)
 
 
 def _finish(folder: Path) -> None:

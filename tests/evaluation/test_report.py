@@ -457,7 +457,7 @@ def test_other_bodies_are_reported_together(tmp_path: Path) -> None:
     assert f"{TEMPLATE.policy} with longstick" in text
 
 
-def test_the_file_of_scores_is_no_folder(tmp_path: Path) -> None:
+def test_a_file_of_scores_instead_of_its_folder_is_explained(tmp_path: Path) -> None:
     folder = write(tmp_path / "one", example())
     with pytest.raises(EvaluationError, match="is a file of an evaluation: give its folder"):
         report([folder / SCORES], tmp_path / "page")

@@ -240,7 +240,7 @@ def test_files_contain_questions_with_pictures(made: list[Question], tmp_path: P
 
 
 @pytest.mark.parametrize("setting", [{"limit": -1}, {"limit": 1.5}, {"seed": -1}, {"scenes": 2.0}, {"frames": True}])
-def test_settings_that_are_no_numbers_are_explained(setting: dict[str, Any]) -> None:
+def test_invalid_numbers_are_explained(setting: dict[str, Any]) -> None:
     (name,) = setting
     with pytest.raises(SettingsError, match=f"{name} must be an integer of at least"):
         questions("say", "dev", **setting)
