@@ -238,7 +238,7 @@ def _checked(method: Standing) -> str:
     """How the method was checked, and what it lacks to be official."""
     words = "the actions lead to these scores, but anybody can tape an expert."
     if method.rerun is not None:
-        words = "in fresh scenes, its policies score {:+.2f} [{:+.2f}, {:+.2f}] more.".format(*method.rerun)
+        words = "in fresh scenes, its mean score differs by {:+.2f} [{:+.2f}, {:+.2f}].".format(*method.rerun)
     lacks = f" Partial: {', '.join(method.gaps)}." if method.gaps else ""
     level = f'<a href="leaderboard.html#making-the-leaderboard">{method.level.capitalize()}</a>'
     return f"<p>{level}: {escape(words + lacks)}</p>"
