@@ -23,7 +23,7 @@ from magical_mj.intents import EIGHT, Intent, rivals
 from magical_mj.intents.ambiguity import Ends, Judge, all_conjuncts, ends_of
 from magical_mj.intents.attribution import BITS
 from magical_mj.intents.canonical import implies
-from magical_mj.intents.contrast import candidate, contrasting_scenes, random_scene
+from magical_mj.intents.contrast import contrasting_scenes, random_scene
 from magical_mj.intents.intent import conjunct_bits, intent_bits
 from magical_mj.intents.names import TESTS, tasks_in
 from magical_mj.intents.plans import planned
@@ -108,8 +108,7 @@ def scenes(case: Case, kind: str) -> list[Scene]:
     def rng_of(*numbers: int) -> np.random.Generator:
         return np.random.default_rng([0, *numbers])
 
-    choices = contrasting_scenes(case.intent, rng_of, first, SCENES - 1)
-    return [candidate(case.intent, rng_of(*place), first) for place in enumerate(choices)]
+    return contrasting_scenes(case.intent, rng_of, first, SCENES - 1)
 
 
 def by_picture(case: Case) -> Left:

@@ -34,7 +34,7 @@ from magical_mj.utils.errors import IntentError, PlacementError
 from magical_mj.variants import vary
 
 DEMOS: Final = 4
-"""The number of random demo scenes that the file has, and of contrasting ones for test intents."""
+"""The number of random demo scenes of a test intent that the file has, and of contrasting ones."""
 MATCHED: Final = ("seen", "combined", "selector", "relation")
 TEST_VARIANTS: Final = ("Layout", "All")
 SCENES: Final = 20
@@ -72,8 +72,7 @@ def examined(task: Task, *, test: bool = False) -> tuple[Draws, TaskSpec] | str:
         if not test:
             random = shortcuts["random places"]
             share = sum(intent.holds(scene, random.end(intent, spec.demo, scene)) for scene in scenes) / len(scenes)
-            draws = with_further(replace(task, demos=DEMOS), found_draws(intent, task.seed))
-            return f"random places satisfy {share:.0%}" if share > CHANCE else (draws, spec)
+            return f"random places satisfy {share:.0%}" if share > CHANCE else (found_draws(intent, task.seed), spec)
         if why := floor(intent, spec, SCENES, FLOOR):
             return why
         draws = msgspec.structs.replace(found_draws(intent, task.seed), **effort(intent, spec))

@@ -36,28 +36,21 @@ CHECKED: Final = 60
 """The rivals of Diagnose are among this number of the simplest ones. There are fewer if scenes refute fewer."""
 SCENES: Final = 10
 """The number of scenes that show whether a rival can be refuted."""
-RANDOM_RULES: Final = (colours_rule,)
-"""The rules of random demo scenes after the first one."""
 DRAWS: Final = 100
 """The number of scenes that are drawn for a rival before another one is tried."""
 
 
 def random_scene(intent: Intent, rng: np.random.Generator, first: Scene) -> Scene:
     """A further demo scene, with other colours and poses."""
-    return redrawn(intent, rng, first, *RANDOM_RULES)
-
-
-def candidate(intent: Intent, rng: np.random.Generator, first: Scene) -> Scene:
-    """A scene that may become a contrasting demo scene, with other colours, poses, shapes and counts."""
-    return redrawn(intent, rng, first, *ALL_RULES)
+    return redrawn(intent, rng, first, colours_rule)
 
 
 def contrasting_scenes(
     intent: Intent, rng_of: Callable[[int, int], np.random.Generator], first: Scene, number: int
-) -> list[int]:
-    """The choices of contrasting demo scenes after the first one: for each, the number of the best candidate.
+) -> list[Scene]:
+    """The contrasting demo scenes after the first one, with other colours, poses, shapes and counts.
 
-    It refutes the most of the simplest rivals that the earlier scenes have not refuted.
+    Each is the candidate that refutes the most of the simplest rivals that the earlier scenes have not refuted.
 
     Args:
         intent: the intent.
@@ -65,14 +58,16 @@ def contrasting_scenes(
         first: the first demo scene.
         number: the number of further scenes.
     """
-    choices, left = list[int](), rivals([planned(intent, first)], CHOICE_BITS)
-    while len(choices) < number:
-        candidates = [candidate(intent, rng_of(len(choices), each), first) for each in range(CANDIDATES)]
+    chosen, left = list[Scene](), rivals([planned(intent, first)], CHOICE_BITS)
+    while len(chosen) < number:
+        rngs = (rng_of(len(chosen), each) for each in range(CANDIDATES))
+        candidates = [redrawn(intent, rng, first, *ALL_RULES) for rng in rngs]
         judge = Judge(left)
         reached = [judge.reached(*planned(intent, scene)) for scene in candidates]
-        choices.append(int(np.argmin([flags[:SIMPLEST].sum() for flags in reached])))
-        left = list(compress(left, reached[choices[-1]]))
-    return choices
+        best = int(np.argmin([flags[:SIMPLEST].sum() for flags in reached]))
+        chosen.append(candidates[best])
+        left = list(compress(left, reached[best]))
+    return chosen
 
 
 def diagnosis(intent: Intent, rng: np.random.Generator, demo: Scene, seed: int) -> Scene:

@@ -1,8 +1,8 @@
-"""The draws of intents' tasks: a few numbers that determine the demo scenes and the horizon.
+"""The draws of intents' tasks: the demo scenes and the horizon.
 
-Each demo scene is one of many random scenes, the first that fits or the best of some, and each of them can be drawn by
-its number alone. The search takes plans in tens of scenes. So its results are stored: those of the sets in sets.jsonl,
-those of other intents in the user's cache folder.
+Each demo scene is one of many random scenes, the first that fits or the best of some. The search takes plans in tens of
+scenes. So its results are stored: those of the sets in sets.jsonl, others in the user's cache folder. The first demo
+scene is stored as the number of its draw, and further ones, which the file has for test sets, as JSON.
 """
 
 from __future__ import annotations
@@ -28,10 +28,8 @@ class Draws(msgspec.Struct, frozen=True, omit_defaults=True):
         task: the text of the intent, with the seed of its demo scenes if it is not 0.
         steps: the horizon.
         first: the number of the draw of the first demo scene.
-        random: for each random demo scene after the first, how many random numbers its rejected draws take, as far as
-            known; -1 if all were rejected, and it equals the first.
-        contrasting: for each contrasting one the number of the chosen candidate, as far as known.
-        candidates: the same as `random` for these.
+        random_demos: the random demo scenes after the first, as far as known.
+        contrasting_demos: the contrasting ones.
         set: the set that it is in.
         cost: the mean cost of plans in Layout and All, in actions; 0 if it is not known.
         moves: the mean number of blocks that these plans move.
@@ -40,9 +38,8 @@ class Draws(msgspec.Struct, frozen=True, omit_defaults=True):
     task: str
     steps: int
     first: int
-    random: tuple[int, ...] = ()
-    contrasting: tuple[int, ...] = ()
-    candidates: tuple[int, ...] = ()
+    random_demos: tuple[msgspec.Raw, ...] = ()
+    contrasting_demos: tuple[msgspec.Raw, ...] = ()
     set: str = ""
     cost: float = 0.0
     moves: float = 0.0

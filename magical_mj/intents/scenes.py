@@ -11,7 +11,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -255,41 +255,16 @@ ALL_RULES: Final = (count_rule, colours_rule, shapes_rule)
 def redrawn(intent: Intent, rng: np.random.Generator, scene: Scene, *rules: Rule) -> Scene:
     """A scene with other attributes by some rules, and other poses; the scene itself if none is accepted."""
     for _ in range(LAYOUTS):
+        drawn = scene
+        for rule in rules:
+            drawn = rule(intent, rng, drawn)
         try:
-            drawn = proposed(intent, rng, scene, *rules)
+            drawn = layout(drawn, rng, size_of(len(drawn.regions)), INNER_MARGIN)
         except PlacementError:
             continue
         if accepts(intent, drawn):
             return drawn
     return scene
-
-
-def proposed(intent: Intent, rng: np.random.Generator, scene: Scene, *rules: Rule) -> Scene:
-    """A scene with other attributes by some rules, and other poses. Raises a `PlacementError` if they have no space."""
-    for rule in rules:
-        scene = rule(intent, rng, scene)
-    return layout(scene, rng, size_of(len(scene.regions)), INNER_MARGIN)
-
-
-def rejected(intent: Intent, rng: np.random.Generator, scene: Scene, *rules: Rule) -> int:
-    """How many random numbers `redrawn` takes for scenes that it rejects; -1 if it accepts none."""
-    counting, starts = _Counting(rng.bit_generator), list[int]()
-
-    def start(_: Intent, __: np.random.Generator, scene: Scene) -> Scene:
-        starts.append(counting.count)
-        return scene
-
-    return -1 if redrawn(intent, counting, scene, start, *rules) is scene else starts[-1]
-
-
-class _Counting(np.random.Generator):
-    """Counts its random numbers. Rules and placement use `random` only, for one number at a time."""
-
-    count = 0
-
-    def random(self, *args: Any, **more: Any) -> Any:
-        self.count += 1
-        return super().random(*args, **more)
 
 
 def _first_grounded(intent: Intent, scene: Scene, draw: Callable[[float], Scene]) -> Scene:

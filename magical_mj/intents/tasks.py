@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
@@ -16,7 +16,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from magical_mj.intents.contrast import RANDOM_RULES, contrasting_scenes, diagnosis
+from magical_mj.intents.contrast import contrasting_scenes, diagnosis, random_scene
 from magical_mj.intents.distances import remaining
 from magical_mj.intents.draws import Draws, known, remember
 from magical_mj.intents.intent import Intent, parse
@@ -25,16 +25,13 @@ from magical_mj.intents.readings import others_moved
 from magical_mj.intents.scenes import (
     ALL_RULES,
     INNER_MARGIN,
-    Rule,
     accepts,
     colours_rule,
     count_rule,
     demo_scene,
     drawn_scene,
     missing,
-    proposed,
     redrawn,
-    rejected,
     shapes_rule,
     size_of,
 )
@@ -121,16 +118,16 @@ def _is_seed(text: str) -> bool:
 
 def spec_of(task: Task, draws: Draws | None = None) -> TaskSpec:
     """The definition of a task, by default with `draws_of`. Raises an `IntentError` if no scene was found for it."""
-    intent = task.intent
+    intent, sentence = task.intent, task.intent.sentence
     draws = draws_of(task) if draws is None else draws
     demo = _first(task, draws)
     return TaskSpec(
         name=task.name,
-        summary=f"{intent.sentence[0].lower()}{intent.sentence[1:-1]}",  # in the form of other tasks' summaries
+        summary=f"{sentence[0].lower()}{sentence[1:-1]}",  # in the form of other tasks' summaries
         wordings=intent.wordings,
         label=f"{PREFIX}{task}",
         demo=demo,
-        further_demos=tuple(_further(task, draws, demo)),
+        further_demos=tuple(Scene.from_json(bytes(scene)) for scene in _further(task, draws)),
         steps=draws.steps,
         score=partial(_score, intent),
         distance=partial(_distance, intent),
@@ -162,20 +159,19 @@ def draws_of(task: Task) -> Draws:
 
 
 def _complete(task: Task, draws: Draws) -> bool:
-    """Whether the draws have those of all demo scenes."""
-    return len(draws.candidates if task.contrasting else draws.random) >= task.demos - 1
+    """Whether the draws have all demo scenes."""
+    return len(_further(task, draws)) == task.demos - 1
 
 
 def with_further(task: Task, draws: Draws) -> Draws:
-    """The draws with those of the demo scenes after the first one."""
-    intent, rng_of = task.intent, partial(_rng, task.intent, task.seed)
-    demo = _first(task, draws)
-    if task.contrasting and len(draws.contrasting) < task.demos - 1:
-        choices = contrasting_scenes(intent, partial(rng_of, CONTRASTING), demo, task.demos - 1)
-        draws = msgspec.structs.replace(draws, contrasting=tuple(choices))
-    rules, rngs = _rules(task), (rng_of(*place) for place in _places(task, draws))
-    name = "candidates" if task.contrasting else "random"
-    return msgspec.structs.replace(draws, **{name: tuple(rejected(intent, rng, demo, *rules) for rng in rngs)})
+    """The draws with the demo scenes after the first one."""
+    intent, first, number = task.intent, _first(task, draws), task.demos - 1
+    if task.contrasting:
+        found = contrasting_scenes(intent, partial(_rng, intent, task.seed, CONTRASTING), first, number)
+    else:
+        found = [random_scene(intent, _rng(intent, task.seed, RANDOM, each), first) for each in range(number)]
+    demos = tuple(msgspec.Raw(scene.to_json()) for scene in found)
+    return msgspec.structs.replace(draws, **{"contrasting_demos" if task.contrasting else "random_demos": demos})
 
 
 def _first(task: Task, draws: Draws) -> Scene:
@@ -186,24 +182,9 @@ def _first(task: Task, draws: Draws) -> Scene:
     return demo
 
 
-def _further(task: Task, draws: Draws, first: Scene) -> Iterator[Scene]:
-    """The other demo scenes."""
-    numbers = draws.candidates if task.contrasting else draws.random
-    for place, skipped in zip(_places(task, draws), numbers, strict=False):
-        rng = _rng(task.intent, task.seed, *place, skipped=max(0, skipped))
-        yield first if skipped < 0 else proposed(task.intent, rng, first, *_rules(task))
-
-
-def _places(task: Task, draws: Draws) -> list[tuple[int, ...]]:
-    """The numbers of the random generators of the demo scenes after the first one."""
-    if task.contrasting:
-        return [(CONTRASTING, *choice) for choice in enumerate(draws.contrasting[: task.demos - 1])]
-    return [(RANDOM, number) for number in range(task.demos - 1)]
-
-
-def _rules(task: Task) -> tuple[Rule, ...]:
-    """The rules of the demo scenes after the first one."""
-    return ALL_RULES if task.contrasting else RANDOM_RULES
+def _further(task: Task, draws: Draws) -> Sequence[msgspec.Raw]:
+    """The other demo scenes, as far as known."""
+    return (draws.contrasting_demos if task.contrasting else draws.random_demos)[: task.demos - 1]
 
 
 def found_draws(intent: Intent, seed: int) -> Draws:
@@ -227,10 +208,9 @@ def first_demo(intent: Intent, seed: int) -> int:
     return demo_scene(intent, partial(_rng, intent, seed, FIRST))[0]
 
 
-def _rng(intent: Intent, seed: int, *numbers: int, skipped: int = 0) -> np.random.Generator:
-    """The random generator of one draw, after some random numbers."""
-    bits = np.random.PCG64([zlib.crc32(str(intent).encode()), seed, *numbers])
-    return np.random.Generator(bits.advance(skipped))
+def _rng(intent: Intent, seed: int, *numbers: int) -> np.random.Generator:
+    """The random generator of one draw."""
+    return np.random.Generator(np.random.PCG64([zlib.crc32(str(intent).encode()), seed, *numbers]))
 
 
 def _score(intent: Intent, initial: Scene, final: Scene, rules: Rules = "paper") -> float:
