@@ -179,7 +179,9 @@ def matched_slot(work: tuple[int, Sequence[str]]) -> Group:
         for name, variants in (("combined", combined), ("selector", selected), ("relation", related)):
             for intent in islice(variants(rng, seen, words), FEWER):
                 other = examined(Task(intent), test=True)
-                if isinstance(other, str) or not alike(model, other[0]) or twin(intent, other[1], words.train):
+                if isinstance(other, str) or not alike(model, other[0]):
+                    continue
+                if twin(intent, other[1], [*words.train, seen]):
                     continue
                 result[name] = other[0]
                 break

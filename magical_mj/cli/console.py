@@ -97,9 +97,12 @@ def console() -> Console:
 
 
 def complain(message: str) -> None:
-    """Prints a message as one line on standard error."""
+    """Prints a message on standard error. Several lines all begin at the left, since one may mark a place above."""
+    lines = [terminal(line.rstrip()) for line in message.strip("\n").splitlines()]
     try:
-        typer.echo(f"magical-mj: {terminal(' '.join(message.split()))}", err=True)
+        typer.echo(
+            "\n".join(["magical-mj:", *lines] if len(lines) > 1 else [f"magical-mj: {' '.join(lines)}"]), err=True
+        )
     except BrokenPipeError:
         silence(sys.stderr)
 

@@ -21,7 +21,7 @@ from magical_mj._version import __version__
 from magical_mj.envs.presets import DEFAULT_PRESET, preset_named
 from magical_mj.evaluation.scores import MUJOCO_VERSION, EpisodeResult
 from magical_mj.policies.interface import Episode
-from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
+from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL, SEEDS
 from magical_mj.rendering.backend import RendererName, drawn_by
 from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.shifts import expand_shifts, shift_label
@@ -84,8 +84,9 @@ class BaseSettings(Settings):
         Names, Meta(description="Variants, separated by commas; pairs that do not exist are left out.")
     ] = "all"
     episodes: Annotated[
-        Count, Meta(description="Episodes in each environment, in successive scenes. The paper uses 100.")
-    ] = 100
+        Count | None,
+        Meta(description="Episodes in each environment, in successive scenes; by default 100, as in the paper."),
+    ] = None
     split: Annotated[
         Split,
         Meta(
@@ -246,7 +247,7 @@ class BaseSettings(Settings):
     def seeds(self) -> range:
         """The seeds of the scenes."""
         first = SPLITS[self.split] + self.first_seed
-        return range(first, first + self.episodes)
+        return range(first, first + (self.episodes or SEEDS))
 
     def recorded(self, policies: Sequence[Source] = ()) -> dict[str, Any]:
         """The settings that determine scores, and the policies if given. A resumed evaluation must keep them."""
@@ -266,7 +267,7 @@ class BaseSettings(Settings):
             "environments": list(map("-".join, self.environments)),
             "split": self.split,
             "first_seed": self.first_seed,
-            "episodes": self.episodes,
+            "episodes": len(self.seeds),
             "preset": self.observed,
             "rules": self.rules,
             "time_limit": self.time_limit,

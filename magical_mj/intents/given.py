@@ -78,7 +78,7 @@ class GivenSettings(BaseSettings):
             object.__setattr__(self, "tasks", ",".join(f"{PREFIX}{name}" for name in TESTS))
             if self.variants == "all":
                 object.__setattr__(self, "variants", ",".join(OFFICIAL_VARIANTS))
-            if self.episodes == BaseSettings.episodes:
+            if self.episodes is None:
                 object.__setattr__(self, "episodes", OFFICIAL_EPISODES)
         super().__post_init__()
         if (self.scenes or 1) > self.number_given:

@@ -274,6 +274,23 @@ def test_the_other_intents_are_those_of_the_set() -> None:
     assert other_tasks("intent:robot wall(top) & line(all)")[0] == "intent:near corner(all, top left)"
 
 
+@pytest.mark.parametrize(("chosen", "number", "environments"), [({}, 2, 500), ({"episodes": 100}, 100, 500)])
+def test_the_official_evaluation_has_two_episodes_unless_another_number_is_given(
+    chosen: dict[str, Any], number: int, environments: int
+) -> None:
+    settings = EvaluationSettings(tasks="intents", **chosen)
+    assert (len(settings.seeds), len(settings.environments)) == (number, environments)
+    assert len(EvaluationSettings(tasks="intent:seen").seeds) == 100
+
+
+def test_an_error_in_an_intent_is_marked_at_its_place(shell: Shell, tmp_path: Path) -> None:
+    text = "in(any, colour=red, regin)"
+    _, _, error = shell("evaluate", "--policy", "noop", "--tasks", f"intent:{text}", "--out", tmp_path / "run")
+    _, shown, mark = error.rstrip().splitlines()
+    assert shown == text
+    assert mark.index("^") == text.index("regin")
+
+
 def test_on_the_command_line(tmp_path: Path, shell: Shell, cache: Path) -> None:
     code, out, error = shell(
         "evaluate",
