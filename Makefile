@@ -10,7 +10,8 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3.14 python3 p
 VENV := .venv
 BIN := $(VENV)/bin
 METHODS := --editable methods/relational --editable methods/goals --editable methods/intents
-INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+# Without --no-compile, pip compiles 20,000 modules, of which Python would import few.
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
 
 .PHONY: demo test fast bench peers leaderboard check format docs readme demonstrations lerobot integrations-test constraints notebooks release-check system site site-test site-test-firefox site-audit site-picture site-looks policies node chromium firefox xvfb
 
@@ -141,7 +142,7 @@ $(VENV)/.installed-all: pyproject.toml constraints.txt magical_mj/_version.py $(
 
 $(VENV)/.installed-%: pyproject.toml constraints.txt $(wildcard methods/*/pyproject.toml) magical_mj/_version.py $(BIN)/python | system
 	@echo "installing magical-mj for $* into $(VENV) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check 'pip>=25.1' # the first with --group
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile 'pip>=25.1' # the first with --group
 	@$(INSTALL) --editable . $(if $(filter dev,$*),$(METHODS)) --group $*
 	@touch $@ $(if $(filter dev,$*),$(VENV)/.installed-all)
 

@@ -106,7 +106,7 @@ def installed(name: str) -> Path:
     if not library.get("own"):
         packages = next(path for path in sys.path if path.endswith("site-packages"))
         next(folder.glob("lib/python*/site-packages")).joinpath(LINK).write_text(f"{packages}\n")
-    pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile"]
     for arguments in library["install"]:
         pinned = [] if library.get("own") or "torch==" in arguments else [TORCH]
         done = subprocess.run(
