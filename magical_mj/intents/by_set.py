@@ -32,6 +32,7 @@ FLOORS: Final = Path(__file__).with_name("floors.json")
 PAGE: Final = "intents.md"
 OUTSIDE: Final = "in no set"
 MEASURES: Final = ("success", "clean success", "score")
+HEADER: Final = ("Set", "Variants", "intents", "runs", *MEASURES, "best shortcut")
 
 
 class Row(NamedTuple):
@@ -123,11 +124,15 @@ def table(every: Sequence[Row]) -> Table:
     """The rows as a table with a group for each method."""
     groups = defaultdict[str, list[tuple[str, ...]]](list)
     for row in every:
-        cells = (_text(row.values[measure]) for measure in MEASURES)
-        floor = f"{row.floor[1]:.2f} ({row.floor[0]})" if row.floor else NONE
-        groups[row.method].append((row.set, row.variants, str(row.intents), str(row.runs), *cells, floor))
-    header = ("Set", "Variants", "intents", "runs", *MEASURES, "best shortcut")
-    return Table("intents", "Intents by set", header, tuple((name, tuple(rows)) for name, rows in groups.items()))
+        groups[row.method].append(cells(row))
+    return Table("intents", "Intents by set", HEADER, tuple((name, tuple(rows)) for name, rows in groups.items()))
+
+
+def cells(row: Row) -> tuple[str, ...]:
+    """A row of a table with this `HEADER`."""
+    floor = f"{row.floor[1]:.2f} ({row.floor[0]})" if row.floor else NONE
+    measured = (_text(row.values[measure]) for measure in MEASURES)
+    return row.set, row.variants, str(row.intents), str(row.runs), *measured, floor
 
 
 def _text(value: Estimate) -> str:

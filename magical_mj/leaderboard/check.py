@@ -16,8 +16,9 @@ from typing import Any, Final
 from magical_mj.evaluation.folder import SETTINGS, recorded_policies, recorded_settings
 from magical_mj.evaluation.replay import Recorded, inconsistency, obstacle, replay
 from magical_mj.evaluation.scores import EpisodeResult, Key, read
-from magical_mj.leaderboard.entry import SEEDS, Entry, is_entry, read_entry
-from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL, SOLVED
+from magical_mj.leaderboard.entry import Entry, is_entry, read_entry
+from magical_mj.leaderboard.places import intents, places
+from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL, SEEDS, SOLVED
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair, task_spec
 from magical_mj.utils.errors import EvaluationError, SettingsError, counted, short_repr
 from magical_mj.utils.files import to_path
@@ -74,10 +75,10 @@ def verify(
 ) -> Findings:
     """Replays the episodes of an evaluation, and checks its settings and completeness against the protocol.
 
-    Failed episodes, and those of tasks outside the benchmark, are not replayed. The settings determine which episodes
-    are required, so that environments or runs without any episodes are reported. An evaluation may be split over
-    several folders, for example one for each task. Together they must be complete, and episodes in several folders must
-    agree.
+    Failed episodes, and those outside the benchmark and the test sets of intents, are not replayed. The settings
+    determine which episodes are required, so that environments or runs without any episodes are reported. An evaluation
+    may be split over several folders, for example one for each task. Together they must be complete, and episodes in
+    several folders must agree.
 
     Args:
         folders: the folders of the evaluation, or entries of the leaderboard.
@@ -101,7 +102,7 @@ def verify(
         for episode in part.episodes:
             other, holder = seen.setdefault(episode.key, (episode, part.path))
             if holder == part.path:
-                if episode.task in TASKS and obstacle(episode, part.settings, trusted) is None:
+                if _known(episode) and obstacle(episode, part.settings, trusted) is None:
                     chosen.append((where, episode))
             elif any(getattr(other, name) != getattr(episode, name) for name in COMPARED):
                 problem = f"{holder} and {part.path} contain it with different results"
@@ -127,8 +128,9 @@ class _Stored:
 
     @property
     def environments(self) -> set[Pair]:
-        """The environments of the benchmark that the evaluation includes."""
-        return {pair for pair in ENVIRONMENTS if "-".join(pair) in self.settings.get("environments", ())}
+        """The environments of entries that the evaluation includes."""
+        names = set(map(str, self.settings.get("environments", ())))
+        return {pair for pair in places() if "-".join(pair) in names}
 
     @property
     def runs(self) -> dict[str, set[int]]:
@@ -152,7 +154,7 @@ def _stored(path: Path) -> _Stored:
 def _unfit(part: _Stored, trusted: Collection[str]) -> list[str]:
     """The deviations of one folder from the protocol that are visible without replaying."""
     settings, episodes, problems = part.settings, part.episodes, []
-    obstacles = Counter(filter(None, (obstacle(row, settings, trusted) for row in episodes if row.task in TASKS)))
+    obstacles = Counter(filter(None, (obstacle(row, settings, trusted) for row in episodes if _known(row))))
     problems += [f"{counted(count, 'episode')} cannot be replayed: {why}" for why, count in obstacles.items()]
     if others := {episode.split for episode in episodes} - {"test"}:
         problems.append(f"split: results must be from test, but it was played on {', '.join(sorted(others))}")
@@ -172,10 +174,16 @@ def _unfit(part: _Stored, trusted: Collection[str]) -> list[str]:
         if number != 1
     ]
     problems += _contradictions(part)
-    outside = Counter(episode.policy for episode in episodes if episode.task not in TASKS)
+    outside = Counter(episode.policy for episode in episodes if not _known(episode))
     return problems + [
-        f"{policy}: tasks outside the benchmark in {counted(count, 'episode')}" for policy, count in outside.items()
+        f"{policy}: environments outside the benchmark and the test sets of intents in {counted(count, 'episode')}"
+        for policy, count in outside.items()
     ]
+
+
+def _known(episode: EpisodeResult) -> bool:
+    """Whether an episode is of the benchmark's tasks, or of the test sets of intents."""
+    return episode.task in TASKS or (episode.task, episode.variant) in places()
 
 
 def _unfit_entry(entry: Entry) -> list[str]:
@@ -201,17 +209,17 @@ def _missing(stored: Sequence[_Stored]) -> list[str]:
         if not episode.shift:
             runs[episode.policy].add(episode.run)
             seeds[episode.policy, episode.run, episode.task, episode.variant].add(episode.seed)
-    pairs = [(task, variant) for task, variant in ENVIRONMENTS if task in tasks]
-    required = set(range(SEEDS))
-    complete = {key for key, played in seeds.items() if key[2:] in pairs and required <= played}
-    places = ((policy, run, *pair) for policy in runs for run in sorted(runs[policy]) for pair in pairs)
-    gaps = (place for place in places if place not in complete)
+    required = {pair: set(range(places()[pair])) for pair in (*ENVIRONMENTS, *intents()) if pair[0] in tasks}
+    complete = {key for key, played in seeds.items() if key[2:] in required and required[key[2:]] <= played}
+    wanted = ((policy, run, *pair) for policy in runs for run in sorted(runs[policy]) for pair in required)
+    gaps = (place for place in wanted if place not in complete)
     problems: list[str] = []
     for policy, run, task, variant in islice(gaps, MOST_SENTENCES):
-        absent = required - seeds[policy, run, task, variant]
-        which = "all" if len(absent) == SEEDS else f"{len(absent)}, such as seed {min(absent)},"
-        problems.append(f"{policy}, run {run}, {task} {variant}: {which} of the {SEEDS} episodes are missing")
-    others = sum(map(len, runs.values())) * len(pairs) - len(complete) - len(problems)
+        needed = required[task, variant]
+        absent = needed - seeds[policy, run, task, variant]
+        which = "all" if absent == needed else f"{len(absent)}, such as seed {min(absent)},"
+        problems.append(f"{policy}, run {run}, {task} {variant}: {which} of the {len(needed)} episodes are missing")
+    others = sum(map(len, runs.values())) * len(required) - len(complete) - len(problems)
     return problems + ([f"{others} other environments of its runs"] if others else [])
 
 
@@ -228,7 +236,7 @@ def _contradictions(part: _Stored) -> list[str]:
                 texts[name] = f"it was played with {value!r}, but {SETTINGS} contains {short_repr(expected)}"
         if episode.run not in runs.get(episode.policy, ()):
             texts["run"] = f"{SETTINGS} does not include it"
-        if pair in ENVIRONMENTS and pair not in environments:
+        if pair in places() and pair not in environments:
             texts["environment"] = f"{SETTINGS} does not include it"
         if episode.steps != count:
             texts["steps"] = f"{episode.steps} are recorded, but it has {count} actions"
@@ -288,7 +296,7 @@ def check_entries(
 
 def _playable(entry: Entry) -> tuple[list[EpisodeResult], list[str]]:
     """The counting episodes that are worth replaying, and a sentence for each one that is wrong without replaying."""
-    horizons = {task: task_spec(task).horizon(entry.rules) for task in TASKS}
+    horizons = {task: task_spec(task).horizon(entry.rules) for task in {row.task for row in entry.episodes}}
     playable, problems = [], []
     for episode in (*entry.counted, *entry.shifted):
         if problem := inconsistency(episode, horizons[episode.task]):

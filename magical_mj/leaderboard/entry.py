@@ -11,7 +11,6 @@ import lzma
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cache
 from itertools import chain
 from operator import attrgetter
 from pathlib import Path
@@ -21,10 +20,10 @@ import msgspec
 from msgspec import Meta, Struct
 
 from magical_mj.evaluation.scores import EpisodeResult
+from magical_mj.intents.tasks import PREFIX
 from magical_mj.leaderboard.names import check_method_name
-from magical_mj.protocol import PROTOCOL, SEEDS, SHIFT_SEEDS
-from magical_mj.shifts import expand_shifts, shift_label
-from magical_mj.tasks.registry import ENVIRONMENTS
+from magical_mj.leaderboard.places import in_track, place_of, places
+from magical_mj.protocol import PROTOCOL, SHIFT_SEEDS
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, short_repr
@@ -131,7 +130,8 @@ class Versions(Struct, forbid_unknown_fields=True):
 class Columns(Struct, forbid_unknown_fields=True):
     """The episodes: field -> environment -> a value for each, in the same order in all fields.
 
-    An environment has a name such as "FindDupe-All", or in the shift track "FindDupe-Demo camera:3". The format is by
+    An environment has a name such as "FindDupe-All", in the shift track "FindDupe-Demo camera:3", and for intents
+    "intent:line(all)-All". The format is by
     column because values of one kind compress best next to each other.
     """
 
@@ -143,16 +143,18 @@ class Columns(Struct, forbid_unknown_fields=True):
     failure: dict[str, list[Annotated[str, Meta(max_length=300)] | None]]
 
 
-class Recorded(Struct, frozen=True, forbid_unknown_fields=True):
+class Recorded(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """What the evaluations recorded about the policies. Empty in entries of older versions.
 
     `uses` lists what they used in episodes (`magical_mj.policies.interface.USES`), and `loaded` what they were made of,
-    such as "onnx". `milliseconds` is the mean time of a step, with the simulation and the pictures.
+    such as "onnx". `milliseconds` is the mean time of a step, with the simulation and the pictures. `given` is the
+    description of intents that they received, such as "8 demonstrations in 4 scenes".
     """
 
     uses: Annotated[list[Name], Meta(max_length=10)] = []
     loaded: Annotated[list[Name], Meta(max_length=10)] = []
     milliseconds: Annotated[float, Meta(ge=0)] | None = None
+    given: Name = ""
 
 
 class EntryFields(Struct, frozen=True):
@@ -221,24 +223,14 @@ class Entry(EntryFields, frozen=True):
 
     @property
     def counted(self) -> list[EpisodeResult]:
-        """The episodes of the 60 environments that count: those with the seeds that the protocol requires."""
-        return [episode for episode in self.episodes if not episode.shift and episode.seed < SEEDS]
+        """The episodes without shifts that count: those with the seeds that the protocol requires."""
+        plain = (episode for episode in self.episodes if not episode.shift)
+        return [episode for episode in plain if episode.seed < places()[episode.task, episode.variant]]
 
     @property
     def shifted(self) -> list[EpisodeResult]:
         """The episodes of the shift track that count."""
         return [episode for episode in self.episodes if episode.shift and episode.seed < SHIFT_SEEDS]
-
-
-@cache
-def track(task: str) -> tuple[str, ...]:
-    """A task's shift track, in its demo variant: the labels of the built-in shifts that it supports, all strengths."""
-    return tuple(map(shift_label, expand_shifts("all", task)))
-
-
-def has_place(task: str, variant: str, shift: str) -> bool:
-    """Whether an entry can hold an episode: without a shift, or with one of the shift track."""
-    return not shift or (variant == "Demo" and (task, variant) in ENVIRONMENTS and shift in track(task))
 
 
 def common(setting: str, values: Iterable[tuple[Any, object]]) -> Any:
@@ -326,6 +318,7 @@ def _joined(parts: Sequence[Recorded]) -> Recorded:
         sorted({use for part in parts for use in part.uses}),
         sorted({kind for part in parts for kind in part.loaded}),
         sum(times) / len(times) if times else None,
+        common("descriptions of intents", ((part.given, "the entry") for part in parts)),
     )
 
 
@@ -389,10 +382,10 @@ def _episodes(content: Content, name: object) -> list[EpisodeResult]:
     shared |= {name: ", ".join(found) for name, found in msgspec.structs.asdict(content.versions).items()}
     episodes: list[EpisodeResult] = []
     for environment in sorted({environment for column in columns.values() for environment in column}):
-        pair, _, shift = environment.partition(" ")
-        task, _, variant = pair.partition("-")
+        task, variant, shift = place_of(environment)
         shared["shift"] = shift
-        if (task, variant) not in ENVIRONMENTS or not has_place(task, variant, shift):
+        shared["given"] = content.recorded.given if task.startswith(PREFIX) else ""
+        if (task, variant) not in places() or (shift and not in_track(task, variant, shift)):
             raise EvaluationError(f"{name} has results in {short_repr(environment)}, which is not an environment")
         lengths = {field: len(column.get(environment, ())) for field, column in columns.items()}
         if len(set(lengths.values())) > 1 or not lengths["run"]:

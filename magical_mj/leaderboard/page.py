@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from importlib.resources import files as resources
 from pathlib import Path
@@ -12,7 +13,9 @@ from typing import Final
 from magical_mj.evaluation.reports.intervals import Estimate
 from magical_mj.evaluation.reports.statistics import area, half_lost
 from magical_mj.evaluation.reports.tables import DAGGER, NONE, Group, Table, markdown
-from magical_mj.leaderboard.entry import SHIFT_SEEDS, Demonstrations, track
+from magical_mj.intents import by_set
+from magical_mj.leaderboard.entry import SHIFT_SEEDS, Demonstrations
+from magical_mj.leaderboard.places import track
 from magical_mj.leaderboard.standings import (
     ABOVE,
     BLOCKS,
@@ -54,6 +57,7 @@ HEADINGS: Final = {
     "drops": "What breaks first",
     "improvement": "Who beats whom",
     "shifts": "Under shifts",
+    "intents": "Intents",
     "costs": "What it cost",
     "entries": "Entries",
 }
@@ -209,9 +213,14 @@ def _x(share: float) -> float:
 
 
 def tables(methods: Sequence[Standing]) -> list[Table]:
-    """The tables: scores, drops by variant, probabilities of improvement, shifts if any were played, and costs."""
-    shifts = [_shifts(methods)] if any(method.curves for method in methods) else []
-    return [_scores(methods), _drops(methods), _improvements(methods), *shifts, _costs(methods)]
+    """The tables: scores, drops by variant, probabilities of improvement, costs; shifts and intents if any were played.
+
+    Methods that played only intents are in the last two.
+    """
+    scored = [method for method in methods if method.means]
+    shifts = [_shifts(scored)] if any(method.curves for method in scored) else []
+    intents = [table] if (table := _intents(methods)).groups else []
+    return [_scores(scored), _drops(scored), _improvements(scored), *shifts, *intents, _costs(methods)]
 
 
 def label(method: Standing) -> str:
@@ -322,6 +331,23 @@ def _shifts(methods: Sequence[Standing]) -> Table:
         "score at the lowest strength",
         ("Method", *SHIFTS, "half lost first"),
         _grouped(entered, lambda method: (*(cell(method, axis) for axis in SHIFTS), first(method))),
+    )
+
+
+def _intents(methods: Sequence[Standing]) -> Table:
+    """A row for each method and set of intents, in blocks by what policies observe and receive."""
+    groups = defaultdict[str, list[tuple[str, ...]]](list)
+    for method in _entered(methods):
+        block = f"{BLOCKS[method.block]}; given {method.entry.recorded.given or 'nothing'}"
+        groups[block] += [(label(method), *by_set.cells(row)) for row in by_set.rows(method.entry.counted)]
+    return Table(
+        "intents",
+        "Intents by set. Success: the share of solved episodes; clean success: no block moved that the intent does not "
+        "name. In brackets, 95 % intervals over intents, their scenes and runs. Best shortcut: of those that know the "
+        "relations, but choose blocks by a rule",
+        ("Method", *by_set.HEADER),
+        tuple((block, tuple(rows)) for block, rows in groups.items() if rows),
+        tuple(f"{method.name} is partial: {', '.join(method.gaps)}." for method in methods if not method.means),
     )
 
 

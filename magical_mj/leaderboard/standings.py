@@ -17,7 +17,8 @@ from magical_mj.evaluation.reports.floors import floors, new_place_floors, refut
 from magical_mj.evaluation.reports.intervals import Cell, Estimate, Floats, estimate
 from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results, published_table_1
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
-from magical_mj.leaderboard.entry import GIVEN, SEEDS, SIMULATOR, SUFFIX, Card, Entry, Versions, entry_files, read_entry
+from magical_mj.leaderboard.entry import GIVEN, SIMULATOR, SUFFIX, Card, Entry, Versions, entry_files, read_entry
+from magical_mj.leaderboard.places import intents, places
 from magical_mj.protocol import PROTOCOL
 from magical_mj.shifts import SHIFTS
 from magical_mj.shifts.shift import STRENGTHS
@@ -267,12 +268,15 @@ def gaps(entry: Entry, was_rerun: bool = False) -> list[str]:
     if len(entry.runs) < LEAST_RUNS:
         lacks.append(f"{len(entry.runs)} of {counted(LEAST_RUNS, 'run')}")
     pairs = {(episode.task, episode.variant) for episode in entry.episodes}
-    if len(pairs) < len(ENVIRONMENTS):
-        lacks.append(f"{len(pairs)} of {counted(len(ENVIRONMENTS), 'environment')}")
-    wanted = len(pairs) * SEEDS * len(entry.runs)
-    elsewhere = " in the environments played" if len(pairs) < len(ENVIRONMENTS) else ""
-    if absent := wanted - len(entry.counted):
-        lacks.append(f"{absent} of {wanted} episodes missing{elsewhere}")
+    for needed, kind in ((ENVIRONMENTS, "environments"), (intents(), "environments of intents")):
+        if not (played := pairs.intersection(needed)):
+            continue
+        if len(played) < len(needed):
+            lacks.append(f"{len(played)} of {len(needed)} {kind}")
+        wanted = sum(places()[pair] for pair in played) * len(entry.runs)
+        elsewhere = " in the environments played" if len(played) < len(needed) else ""
+        if absent := wanted - sum((episode.task, episode.variant) in played for episode in entry.counted):
+            lacks.append(f"{absent} of {wanted} episodes missing{elsewhere}")
     if (number := entry.card.demonstrations.loaded_set) != 1:
         lacks.append(f"it learnt from demonstrations of set {number}, and protocol {PROTOCOL} uses set 1")
     if entry.card.privileges is None:

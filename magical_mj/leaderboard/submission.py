@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
@@ -19,12 +20,12 @@ from magical_mj.leaderboard.entry import (
     Recorded,
     Versions,
     common,
-    has_place,
     packed,
     unpacked,
 )
+from magical_mj.leaderboard.places import in_track, places
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.tasks.registry import ENVIRONMENTS
+from magical_mj.tasks.languages import in_language
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, SettingsError, check_name
 
@@ -61,7 +62,7 @@ def submit(
         raise SettingsError("give at least one folder of an evaluation")
     described = {} if card is None else files.read_toml(files.to_path(card))
     read_all = ((episode, folder) for folder in folders for episode in read(folder))
-    sources = [source for source in read_all if has_place(source[0].task, source[0].variant, source[0].shift)]
+    sources = [(row, folder) for row, folder in read_all if not row.shift or in_track(row.task, row.variant, row.shift)]
     names = list(dict.fromkeys(episode.policy for episode, _ in sources))
     if not names:
         raise EvaluationError("all episodes have shifts outside the shift track: an entry cannot hold them")
@@ -91,7 +92,9 @@ def submit(
         _check_episode(episode, folder, new_card)
     episodes = [episode for episode, _ in own]
     uses = sorted({use for row in learnt for use in row.uses})
-    steps, seconds = sum(episode.steps for episode in episodes), sum(episode.seconds for episode in episodes)
+    given = [(episode.given, folder) for episode, folder in own if in_language(episode.task)]
+    steps = sum(episode.steps for episode in episodes)
+    seconds = math.fsum(episode.seconds for episode in episodes)  # exact, so that the order does not matter
     entry = Entry(
         new_card,
         common("preset", ((episode.preset, folder) for episode, folder in own)),
@@ -105,6 +108,7 @@ def submit(
             uses,
             sorted({row.loaded for row in learnt} - {""}),
             round(1000 * seconds / steps, 2) if uses and steps else None,
+            common("descriptions of intents", given) if given else "",
         ),
     )
     if problem := entry.undeclared:
@@ -137,5 +141,5 @@ def _check_episode(episode: EpisodeResult, folder: Path, card: Card) -> None:
             raise EvaluationError(f"{folder} was played {problem.format(value)}")
     if episode.demonstrations and GIVEN not in (card.privileges or ()):
         raise EvaluationError(f'{folder} was played with {episode.given}: add "{GIVEN}" to the card\'s privileges')
-    if (episode.task, episode.variant) in ENVIRONMENTS and (problem := obstacle(episode)):
+    if (episode.task, episode.variant) in places() and (problem := obstacle(episode)):
         raise EvaluationError(f"{folder} cannot be an entry, because it cannot be replayed: {episode.title}: {problem}")

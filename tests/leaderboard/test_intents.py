@@ -1,0 +1,94 @@
+"""Entries with intents: they are checked like others, and have rows by set, in blocks by what policies receive."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from msgspec import structs
+
+from magical_mj.leaderboard import Entry, check_entries, read_entry, submit, verify
+from magical_mj.leaderboard.entry import packed, unpacked
+from magical_mj.leaderboard.page import HTML, tables, write_pages
+from magical_mj.leaderboard.standings import gaps, standings
+from magical_mj.utils.errors import EvaluationError
+from tests.helpers.evaluations import evaluate
+
+TASKS = "intent:seen/5,intent:long/3"
+
+
+class Reader:
+    """Does nothing, but receives the sentence."""
+
+    preset = "State"
+    uses_instruction = True
+
+    def __call__(self, _: object) -> int:
+        return 0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An evaluation of two policies."""
+    out = tmp_path_factory.mktemp("intents") / "run"
+    settings = {"tasks": TASKS, "variants": "Demo,Layout,All", "episodes": 2}
+    evaluate(Reader(), out=out / "reader", **settings)
+    evaluate("expert", out=out / "expert", **{**settings, "tasks": "intent:seen/5", "variants": "Layout"})
+    return out
+
+
+@pytest.fixture
+def entries(folder: Path, tmp_path: Path) -> dict[str, Entry]:
+    """Their entries, read from files."""
+    for name in ("reader", "expert"):
+        submit([folder / name], tmp_path / f"{name}.json.xz")
+    return {name: read_entry(tmp_path / f"{name}.json.xz") for name in ("reader", "expert")}
+
+
+def test_an_entry_with_intents_is_replayed_and_says_what_it_lacks(entries: dict[str, Entry]) -> None:
+    findings = check_entries(entries, most=None)
+    assert {name: found.episodes for name, found in findings.items()} == {"reader": 12, "expert": 2}
+    assert all(found.good for found in findings.values())
+    assert "4 of 500 environments of intents" in gaps(entries["reader"])
+    assert not any("episodes missing" in gap or "60" in gap for gap in gaps(entries["reader"]))
+
+
+def test_a_false_score_of_an_intent_is_found(entries: dict[str, Entry]) -> None:
+    entry = entries["reader"]
+    false = replace(entry.episodes[0], score=1.0)
+    forged = unpacked(packed(structs.replace(entry, episodes=[false])))
+    assert len(check_entries({"forged": forged}, most=None)["forged"].differing) == 1
+
+
+def test_only_the_test_sets_have_a_place(entries: dict[str, Entry], tmp_path: Path) -> None:
+    evaluate(Reader(), out=tmp_path / "run", tasks="intent:dev/3", variants="Layout", episodes=1)
+    with pytest.raises(EvaluationError, match="which is not an environment"):
+        submit([tmp_path / "run"], tmp_path / "dev.json.xz")
+    assert "outside the benchmark and the test sets of intents in 1 episode" in verify(tmp_path / "run").unfit[0]
+    other = replace(entries["reader"].episodes[0], task="intent:line(all)")
+    with pytest.raises(EvaluationError, match="which is not an environment"):
+        unpacked(packed(structs.replace(entries["reader"], episodes=[other])))
+
+
+def test_a_complete_evaluation_of_intents_is_confirmed(folder: Path) -> None:
+    found = verify(folder / "reader")
+    assert (found.episodes, found.good) == (12, True)
+    missing = verify(folder / "expert").missing
+    assert len(missing) == 1
+    assert missing[0].endswith("All: all of the 2 episodes are missing")
+
+
+def test_the_page_has_rows_by_set_in_blocks_by_what_is_given(entries: dict[str, Entry], tmp_path: Path) -> None:
+    methods = standings(entries)
+    (table,) = (table for table in tables(methods) if table.name == "intents")
+    groups = {heading.partition("; ")[2]: [row[:3] for row in rows] for heading, rows in table.groups}
+    reader = [("Reader", name, variants) for name in ("long", "seen") for variants in ("Layout and All", "Demo")]
+    assert groups == {"given instruction": reader, "given nothing": [("expert", "seen", "Layout")]}
+    (expert,) = (rows[0] for heading, rows in table.groups if heading.endswith("nothing"))
+    assert expert[5].startswith("1.00")  # success
+    assert "Reader" not in {
+        row[0] for other in tables(methods) if other.name == "scores" for _, r in other.groups for row in r
+    }
+    write_pages(methods, tmp_path)
+    assert '<section id="intents">' in (tmp_path / HTML).read_text()
