@@ -7,10 +7,9 @@
                                                          table; each folder is a run
     python -m tools.intent_baselines write               writes the table
 
-It needs the packages in methods/goals and methods/intents. Policies for many intents are trained before, with
-python -m magical_intents.train OUT and python -m magical_intents.pictures OUT. Trainings with other seeds, in other
-folders, are further runs. All rows have the same episodes: one in each of Layout and All, in the first intents of each
-set.
+It needs the packages in methods/goals and methods/intents. Policies with networks are trained before, with
+python -m magical_intents.train OUT. Trainings with other seeds, in other folders, are further runs. All rows have the
+same episodes: one in each of Layout and All, in the first intents of each set.
 """
 
 from __future__ import annotations
@@ -80,7 +79,7 @@ def rows_of(name: str, method: str, policy: str) -> dict[str, Baseline]:
     }
 
 
-TRAINED: Final = ("sentence", "demonstrations", "pictures")
+TRAINED: Final = ("sentence", "demonstrations", "inference", "pictures")
 """The trained policies: folders in `OUT`."""
 BASELINES: Final = {
     "noop": Baseline("Doing nothing", "nothing", "noop"),
@@ -91,10 +90,11 @@ BASELINES: Final = {
     },
     "circling": Baseline("Shortcut: circling", "nothing", shortcuts["circling"]),
     "cloned-1": Baseline("BC for each intent", in_scenes(1, False), "magical_intents.cloning:Cloned", shown(1)),
-    "pictures-policy": Baseline("BC for many intents, pictures", "the sentence", "pictures"),
     "sentence-policy": Baseline("Policy for many intents", "the sentence", "sentence"),
     **rows_of("demonstrations-policy", "Policy for many intents", "demonstrations"),
-    **rows_of("goals", "Intent inference", "magical_goals.policy:InferredGoal"),
+    **rows_of("pictures", "Intent inference and a learnt skill, from pictures", "pictures"),
+    **rows_of("inference", "Intent inference and a learnt skill", "inference"),
+    **rows_of("goals", "Intent inference and a simulator", "magical_goals.policy:InferredGoal"),
     "expert": Baseline("Expert", "the intent", "expert"),
 }
 """Name -> row."""

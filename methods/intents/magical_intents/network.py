@@ -1,7 +1,4 @@
-"""Parts of networks: graphs of objects, attention between them, sentences, and the skill.
-
-The skill observes the scene in the robot's frame, an object and its target, and acts.
-"""
+"""Parts of the scorer: graphs of objects, attention between them, and sentences."""
 
 from __future__ import annotations
 
@@ -11,14 +8,12 @@ from typing import Final, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from magical_intents.subgoals import DONE, ROBOT
 from magical_intents.symmetries import LENGTH, WORDS
-from magical_mj.learners.networks import COLOURS, ONE_HOT, SHAPES, blocks_of, maxima, regions_of
+from magical_mj.learners.networks import COLOURS, SHAPES, blocks_of, regions_of
 from magical_mj.observations import FINGERS
 
 SIZE: Final = 64
 HEADS: Final = 4
-HIDDEN: Final = 256
 NODE: Final = 2 + 2 + 2 + 4 + 4 + 2 + 1 + 3
 EDGE: Final = 10
 
@@ -133,46 +128,3 @@ class Sentences(nn.Module):
         for layer in self.layers:
             rows = layer(rows, hidden[:, None, None])
         return rows, known
-
-
-class Skill(nn.Module):
-    """Acts to bring an object to a target position."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.other = nn.Sequential(nn.Linear(5 + 2 + 2 + 4, 64), nn.ReLU(), nn.Linear(64, 64))
-        self.act = nn.Sequential(
-            nn.Linear(64 + 2 + 4 + 1 + 5 + 2 + 4 + 5 + 3, HIDDEN),
-            nn.ReLU(),
-            nn.Linear(HIDDEN, HIDDEN),
-            nn.ReLU(),
-            nn.Linear(HIDDEN, HIDDEN),
-            nn.ReLU(),
-            nn.Linear(HIDDEN, ONE_HOT),
-        )
-
-    def forward(self, now: Tensor, objects: Tensor, places: Tensor) -> Tensor:
-        """Logits (n, 18) for states (n, names), objects (n,), blocks or the robot, and their targets (n, 2)."""
-        position, angle = now[:, None, :2], now[:, 2:3]
-        sin, cos = angle.sin(), angle.cos()
-        frame = torch.stack([cos, sin, -sin, cos], 2).unflatten(2, (2, 2))[:, 0].transpose(1, 2)
-        blocks = blocks_of(now)
-        blocks = blocks[:, : int(blocks[..., 0].sum(1).max())] if len(now) else blocks
-        drives = (objects >= ROBOT)[:, None].float()
-        own = nn.functional.one_hot(objects, DONE + 1)[:, : blocks.shape[1], None].to(now.dtype)
-        seen = (blocks[..., 1:3] - position) @ frame
-        goal = ((places[:, None] - position) @ frame)[:, 0]
-        block = (own * torch.cat([blocks, seen], 2)).sum(1)
-        hand, heading = block[:, -2:], (block[:, 3:4] - angle) * (1 - drives)
-        left = (goal - hand) * (1 - drives)
-        others = [_near(seen), seen - hand[:, None], seen - goal[:, None], blocks[..., SHAPES]]
-        around = maxima(self.other(torch.cat(others, 2)), (blocks[..., 0] > 0) & (own[..., 0] < 0.5))
-        parts = [around, now[:, FINGERS], now[:, :2], sin, cos, drives, _near(hand), heading.sin(), heading.cos()]
-        parts += [block[:, SHAPES], _near(goal), left, left.norm(dim=1, keepdim=True)]
-        return self.act(torch.cat(parts, 1))
-
-
-def _near(seen: Tensor) -> Tensor:
-    """Features (..., 5) of positions (..., 2) in the robot's frame: the position, its direction, and the nearness."""
-    distance = seen.norm(dim=-1, keepdim=True)
-    return torch.cat([seen, seen / (distance + 1e-3), 0.3 / (0.2 + distance)], -1)

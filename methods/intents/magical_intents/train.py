@@ -1,17 +1,17 @@
-"""Trains policies for many intents: a skill, and a scorer that receives a sentence, or demonstrations in other scenes.
+"""Trains policies for many intents: a skill, sight, and a scorer that receives a sentence, or demonstrations.
 
 python -m magical_intents.train OUT
 
-It writes OUT/skill and OUT/scorer, and OUT/sentence and OUT/demonstrations, the folders of two policies with the same
-networks. A second call with the same folder continues the training.
+It writes the networks into OUT/skill, OUT/sight and OUT/scorer, and the folders of policies: OUT/sentence and
+OUT/demonstrations with the scorer, and OUT/inference and OUT/pictures, which infer the intent. A second call with the
+same folder continues the training.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -20,33 +20,33 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from magical_intents import inferring
 from magical_intents.ends import RIGHT, Judged, judged
-from magical_intents.network import Skill
 from magical_intents.policy import DEMONSTRATIONS, POLICY, SENTENCE
+from magical_intents.practice import practised
+from magical_intents.scenery import views
 from magical_intents.scorer import Scorer
-from magical_intents.subgoals import DONE, labels_of
-from magical_intents.symmetries import MIRRORED, changed, drawn, moved, renamed, words_of
-from magical_mj import demos
-from magical_mj.demos import Transitions
-from magical_mj.demos.learning import stream
-from magical_mj.intents import EIGHT, SETS, Intent, dataset
-from magical_mj.intents.expert_data import Example
+from magical_intents.sight import Sight, sight_loss
+from magical_intents.skill import Skill, skill_loss
+from magical_intents.symmetries import changed, drawn, renamed, words_of
+from magical_mj.intents import SETS, Intent
 from magical_mj.learners import checkpoint
 from magical_mj.learners.learner import seeded
-from magical_mj.learners.settings import STATE
 from magical_mj.policies.models import torch_settings
-from magical_mj.utils.errors import DemonstrationError, TrainingError
+from magical_mj.utils.errors import TrainingError
 
-SKILL, SCORER = "skill", "scorer"
-UPDATES: Final = {SKILL: 8000, SCORER: 1500}
-LEARNING_RATE: Final = 1e-3
+NOVICE, SKILL, SIGHT, SCORER = "novice", "skill", "sight", "scorer"
+"""The trainings. The novice is a skill that acts in a part of the practice of the final one."""
+UPDATES: Final = {NOVICE: 1500, SKILL: 4000, SIGHT: 1200, SCORER: 1500}
+PRACTICE: Final = {NOVICE: 17, SKILL: 3}
+"""The number of files of practice that each adds."""
+VIEWS: Final = 12
+"""The number of files of pictures."""
+LEARNING_RATE: Final = {NOVICE: 1e-3, SKILL: 1e-3, SIGHT: 2.5e-3, SCORER: 1e-3}
 LARGEST: Final = 1.0
 """The largest norm of a gradient."""
 SAVED: Final = 100
 """The number of updates between two writes of the network."""
-VARIANTS: Final = ("Demo", "Layout", "All")
-"""Each intent has one demonstration in each of these variants, so that its demonstrations differ."""
-
 GROUPS: Final = 32
 """The number of intents in the scorer's batch."""
 MOST_SHOWN: Final = 4
@@ -60,69 +60,12 @@ CONTRAST: Final = 0.3
 READING: Final = 0.5
 """The weight of the scorer's loss with the sentence."""
 
-SKILLS: Final = 512
-"""The number of steps in a batch of the skill."""
-NOISE: Final = (0.01, 0.01, 0.02)
-"""The standard deviation of noise on the robot's pose: units, units, rad."""
-PLACE_NOISE: Final = 0.02
-"""The standard deviation of noise on the targets that the skill receives (units)."""
-
-
-class Steps(NamedTuple):
-    """The steps of a demonstration until the last object was brought.
-
-    Attributes:
-        states: before each action, shape (steps, names).
-        actions: numbers, shape (steps,).
-        objects: the object that is being brought, shape (steps,).
-        places: its target, shape (steps, 2).
-    """
-
-    states: NDArray[np.float32]
-    actions: NDArray[np.int64]
-    objects: NDArray[np.int64]
-    places: NDArray[np.float32]
-
 
 class Lesson(NamedTuple):
     """An intent: the words of its sentences, shape (sentences, LENGTH), and final scenes."""
 
     words: NDArray[np.int64]
     scenes: list[Judged]
-
-
-def trained_intents(number: int) -> list[Intent]:
-    """The first intents of the set `seen`, which are training intents, and then those of the training set."""
-    return list(dict.fromkeys([*SETS["seen"][: number // 10], *SETS["train"]]))[:number]
-
-
-def demonstrated(
-    intents: Iterable[Intent], preset: str, folder: Path | None = None
-) -> Iterator[tuple[Intent, list[Example]]]:
-    """The intents, each with a demonstration in each of `VARIANTS`. Intents that the expert fails are left out.
-
-    The demonstrations are kept in `folder`.
-    """
-    for intent in intents:
-        try:
-            yield intent, list(dataset([str(intent)], 1, preset, variants=VARIANTS, folder=folder, jobs=1))
-        except DemonstrationError as error:
-            warnings.warn(f"left out: {error}", stacklevel=2)
-
-
-def shipped_steps() -> list[Steps]:
-    """The demonstrations of the benchmark's eight tasks that come with the package."""
-    return [steps for task in EIGHT for steps in steps_of(stream(demos.load(task), STATE, drop_noop=False))]
-
-
-def steps_of(examples: Iterable[Example | Transitions]) -> Iterator[Steps]:
-    """The steps of demonstrations from states. Those where all motions were too small are left out."""
-    for example in examples:
-        states, actions = np.asarray(example.observations, np.float32), np.asarray(example.actions, np.int64)
-        labels = labels_of(states, actions)
-        (rows,) = np.nonzero(labels.objects != DONE)
-        if len(rows):
-            yield Steps(states[rows], actions[rows], labels.objects[rows], labels.places[rows])
 
 
 def lessons(intents: Sequence[Intent]) -> list[Lesson]:
@@ -146,7 +89,7 @@ def train(
     seed: int = 0,
     watch: Callable[[int, float], object] = lambda _, __: None,
 ) -> None:
-    """Trains the skill with `Steps`, or the scorer with `Lesson`s, and writes it into `out`.
+    """Trains a skill with `Steps`, sight with `View`s, or the scorer with `Lesson`s, and writes it into `out`.
 
     After each writing of the network, `watch` is called with the number of updates and the mean loss.
 
@@ -156,8 +99,8 @@ def train(
     updates = updates or UPDATES[kind]
     path, training = out / POLICY, {"kind": kind, "updates": updates, "samples": len(data), "seed": seed}
     with seeded(seed):
-        network: Any = Skill() if kind == SKILL else Scorer()
-    optimizer = torch.optim.Adam(network.parameters(), LEARNING_RATE)
+        network: Any = {SCORER: Scorer, SIGHT: Sight}.get(kind, Skill)()
+    optimizer = torch.optim.Adam(network.parameters(), LEARNING_RATE[kind])
     rate = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.01, updates)
     done, losses = 0, []
     if path.exists():
@@ -169,7 +112,7 @@ def train(
         optimizer.load_state_dict(state["optimizer"])
         rate.load_state_dict(state["rate"])
     out.mkdir(parents=True, exist_ok=True)
-    loss_of: Callable[..., Tensor] = skill_loss if kind == SKILL else scorer_loss
+    loss_of: Callable[..., Tensor] = {SCORER: scorer_loss, SIGHT: sight_loss}.get(kind, skill_loss)
     for update in range(done, updates):
         loss = loss_of(network, data, np.random.default_rng([seed, update]))
         optimizer.zero_grad()
@@ -185,26 +128,25 @@ def train(
             losses.clear()
 
 
+def skilled(out: Path, seed: int = 0) -> None:
+    """Trains the skill, with the practice in a folder. The novice acts first in the last part of the practice."""
+    steps = practised(out / "practice", PRACTICE[NOVICE])
+    train(steps, out / NOVICE, NOVICE, seed=seed, watch=_print)
+    novice = Skill()
+    novice.load_state_dict(checkpoint.read(out / NOVICE / POLICY)["weights"])
+    steps += practised(out / "recovery", PRACTICE[SKILL], novice.eval())
+    train(steps, out / SKILL, SKILL, seed=seed, watch=_print)
+
+
 def write_policies(out: Path) -> None:
     """Writes the folders of the policies, with the networks in `out`."""
-    weights = {kind: checkpoint.read(out / kind / POLICY)["weights"] for kind in (SKILL, SCORER)}
+    skill, sight, scorer = (checkpoint.read(out / kind / POLICY)["weights"] for kind in (SKILL, SIGHT, SCORER))
+    for name, contents in {"inference": {}, "pictures": {"sight": sight}}.items():
+        (out / name).mkdir(exist_ok=True)
+        checkpoint.write(out / name / inferring.POLICY, {"skill": skill, **contents})
     for given in (SENTENCE, DEMONSTRATIONS):
         (out / given).mkdir(exist_ok=True)
-        checkpoint.write(out / given / POLICY, {"given": given, **weights})
-
-
-def skill_loss(network: Skill, data: Sequence[Steps], rng: np.random.Generator) -> Tensor:
-    """-E log pi(a | s, object, target) in steps of all demonstrations."""
-    chosen = []
-    for number in rng.integers(len(data), size=SKILLS // 8):
-        rows = rng.integers(len(data[number].actions), size=8)
-        chosen.append([values[rows] for values in data[number]])
-    states, right, objects, places = (torch.from_numpy(np.concatenate(part)) for part in zip(*chosen, strict=True))
-    by = drawn(SKILLS, rng)
-    states[:, :3] += torch.from_numpy(rng.normal(0.0, NOISE, (SKILLS, 3))).float()
-    wanted = places + PLACE_NOISE * torch.from_numpy(rng.standard_normal((SKILLS, 2))).float()
-    logits = network(changed(states[:, None], by)[:, 0], objects, moved(wanted, by))
-    return nn.functional.cross_entropy(logits, torch.where(by.mirrored, MIRRORED[right], right))
+        checkpoint.write(out / given / POLICY, {"given": given, "skill": skill, "scorer": scorer})
 
 
 class Batch(NamedTuple):
@@ -303,6 +245,7 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0, help="of the networks and the batches")
     chosen = parser.parse_args()
     with torch_settings(1):
-        train(shipped_steps(), chosen.out / SKILL, SKILL, seed=chosen.seed, watch=_print)
+        skilled(chosen.out, chosen.seed)
+        train(views(chosen.out / "views", VIEWS), chosen.out / SIGHT, SIGHT, seed=chosen.seed, watch=_print)
         train(lessons(SETS["train"]), chosen.out / SCORER, SCORER, seed=chosen.seed, watch=_print)
         write_policies(chosen.out)

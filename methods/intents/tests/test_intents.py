@@ -10,13 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from magical_intents import pictures
+from magical_intents import inferring
+from magical_intents.carrier import NOTHING, Carrier
 from magical_intents.cloning import Cloned
 from magical_intents.ends import RIGHT, after, judged_in, resting
 from magical_intents.policy import POLICY, load_policy
+from magical_intents.practice import Steps, brought, kept
+from magical_intents.scenery import View, pictures_of_scene
+from magical_intents.scenes import ROBOT, positions_of, scene_of
 from magical_intents.scorer import SCALES, Scorer
 from magical_intents.search import options, searched
-from magical_intents.subgoals import DONE, ROBOT, labels_of
+from magical_intents.sight import Sight, sight_loss, turned
+from magical_intents.skill import Skill
 from magical_intents.symmetries import changed, drawn, renamed, words_of
 from magical_intents.train import (
     Lesson,
@@ -24,16 +29,13 @@ from magical_intents.train import (
     lessons,
     logits_of,
     quality,
-    steps_of,
     train,
-    trained_intents,
     write_policies,
 )
 
 import magical_mj
-from magical_mj import demos
-from magical_mj.demos.learning import stream
-from magical_mj.intents import SETS, parse
+from magical_mj.intents import parse
+from magical_mj.intents.plans import solved
 from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import blocks_of, regions_of
 from magical_mj.scene.constants import COLOURS, SHAPES
@@ -55,21 +57,48 @@ def test_the_given_demonstrations_are_cloned_once() -> None:
     assert list(scores["actions"]) != list(other["actions"])
 
 
-def test_labels_are_what_the_expert_brought_and_where() -> None:
-    for task in ("MoveToRegion", "MatchRegions", "FixColour"):
-        for demo in demos.load(task)[:3]:
-            (played,) = stream([demo], "State", drop_noop=False)
-            labels = labels_of(np.asarray(played.observations), played.actions)
-            start, end = demo.scenes()[0], demo.scenes()[-1]
-            brought = [k for k in dict.fromkeys(labels.objects.tolist()) if k != DONE]
-            poses = [block.pose for block in end.blocks]
-            apart = [math.dist(block.pose[:2], pose[:2]) for block, pose in zip(start.blocks, poses, strict=True)]
-            far = [k for k, distance in enumerate(apart) if distance > 0.2]
-            assert sorted(brought) == ([ROBOT] if task == "MoveToRegion" else far)
-            assert labels.objects[-1] == DONE
-            for k in brought:
-                place = labels.places[np.flatnonzero(labels.objects == k)[-1]]
-                assert math.dist(place, (end.robot.pose if k == ROBOT else poses[k])[:2]) < 0.2
+@pytest.fixture(scope="module")
+def practice() -> list[Steps]:
+    novice, rng = Skill().eval(), np.random.default_rng(0)
+    return [*brought(rng, None), *brought(rng, None), *brought(rng, novice)]
+
+
+def test_what_is_kept_is_made_once(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "0.npz"
+    first = kept(path, lambda: {"numbers": np.arange(3)})
+    again = kept(path, dict)
+    assert first["numbers"].tolist() == again["numbers"].tolist() == [0, 1, 2]
+
+
+def test_practice_brings_objects_to_their_places(practice: list[Steps]) -> None:
+    assert len(practice) > 8
+    for states, actions, objects, places, vias in practice:
+        assert len(states) == len(actions) == len(objects) == len(places) == len(vias)
+        assert objects[0] == ROBOT or math.dist(vias[-1], places[-1]) < 0.2
+        positions = [positions_of(torch.from_numpy(state))[objects[0]].numpy() for state in states]
+        gaps = [math.dist(position, places[0]) for position in positions]
+        assert gaps[-1] < 0.15
+        assert gaps[-1] < gaps[0] or gaps[0] < 0.15
+
+
+def test_a_carrier_chooses_blocks_then_the_robot_then_nothing() -> None:
+    with closing(magical_mj.Engine("MatchRegions", "All", seed=1)) as engine:
+        state, count = torch.from_numpy(engine.state_vector()), len(engine.scene.blocks)
+    here = positions_of(state)
+    assert int(here.isnan().any(1).sum()) == ROBOT - count
+    places = here.clone()
+    places[[0, 1]] = torch.tensor([[0.0, 0.0], [0.5, 0.5]])
+    places[ROBOT] = torch.tensor([-0.5, -0.5])
+    carrier = Carrier(Skill(), np.random.default_rng(0), places)
+    chosen = []
+    for done in ([], [0, 1], [0, 1, ROBOT]):
+        now = state.clone()
+        for number in done:
+            (now[:2] if number == ROBOT else blocks_of(now)[number, 1:3]).copy_(places[number])
+        carrier(now)
+        chosen.append(carrier.brought)
+    assert chosen[0] in (0, 1)
+    assert chosen[1:] == [ROBOT, NOTHING]
 
 
 def test_changed_scenes_and_sentences_agree() -> None:
@@ -162,12 +191,19 @@ def test_a_search_moves_what_raises_the_score() -> None:
 
 
 @pytest.fixture(scope="module")
-def trained(data: list[Lesson], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def seen() -> list[View]:
+    return [one for number in range(2) for one in pictures_of_scene(np.random.default_rng(number))]
+
+
+@pytest.fixture(scope="module")
+def trained(
+    data: list[Lesson], practice: list[Steps], seen: list[View], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
     out, losses = tmp_path_factory.mktemp("trained"), []
-    steps = list(steps_of(stream(demos.load("MatchRegions")[:6], "State", drop_noop=False)))
-    train(steps, out / "skill", "skill", updates=60, saved=20, watch=lambda *seen: losses.append(seen))
+    train(practice, out / "skill", "skill", updates=60, saved=20, watch=lambda *seen: losses.append(seen))
     assert [updates for updates, _ in losses] == [20, 40, 60]
     assert losses[-1][1] < losses[0][1] < math.log(18)
+    train(seen, out / "sight", "sight", updates=2)
     train(data, out / "scorer", "scorer", updates=2)
     write_policies(out)
     return out
@@ -184,6 +220,99 @@ def test_policies_use_what_they_are_given(given: str, trained: Path) -> None:
         load_policy(trained / "skill")
 
 
+@pytest.mark.parametrize("name", ["inference", "pictures"])
+def test_policies_without_a_simulator_infer_the_intent(name: str, trained: Path, tmp_path: Path) -> None:
+    policy = inferring.load_policy(trained / name)
+    played = magical_mj.evaluate(
+        policy, tasks="MoveToRegion", variants="Layout", episodes=1, jobs=1, demonstrations=2, renderer="software"
+    )
+    assert played["failure"].isna().all()
+    checkpoint.write(tmp_path / inferring.POLICY, {"skill": {}})
+    with pytest.raises(TrainingError, match="does not contain a policy"):
+        inferring.load_policy(tmp_path)
+
+
+def test_places_are_those_of_the_inferred_intent() -> None:
+    intent = parse("wall(colour=red, left)")
+    scene = next(
+        scene
+        for seed in range(100)
+        if intent.grounded(scene := magical_mj.sample_scene("ClusterColour", "All", seed))
+        and not intent.holds(scene, scene)
+    )
+    (state,) = resting([scene])
+    assert scene_of(state).blocks[0].shape == scene.blocks[0].shape
+    places = inferring.places_after(intent, scene, scene)
+    end = scene.moved(None, [(*place.tolist(), 0.0) for place in places[: len(scene.blocks)]])
+    assert intent.holds(scene, end)
+    assert places[ROBOT].isnan().all()
+    stays = inferring.places_after(None, scene, scene)
+    assert torch.equal(stays[:ROBOT].nan_to_num(), positions_of(torch.from_numpy(state))[:ROBOT].nan_to_num())
+    driven = inferring.places_after(parse("robot wall(left)"), scene, scene)
+    assert torch.equal(stays[:ROBOT].nan_to_num(), driven[:ROBOT].nan_to_num())
+    assert driven[ROBOT][0] < -0.5
+
+
+def test_the_plan_with_the_largest_expected_score_is_chosen() -> None:
+    one, both = parse("wall(colour=red, left)"), parse("wall(colour=red, left) & wall(colour=blue, right)")
+    scene = next(
+        scene
+        for seed in range(100)
+        if both.grounded(scene := magical_mj.sample_scene("ClusterColour", "All", seed))
+        and not one.holds(scene, scene)
+        and solved(both, scene)
+    )
+    assert inferring.best_intent([inferring.Goal(one, 1.0), inferring.Goal(both, 0.9)], scene) == both
+    assert inferring.best_intent([inferring.Goal(one, 1.0)], scene) == one
+    assert inferring.best_intent([], scene) is None
+
+
+def test_turned_pictures_are_those_of_changed_scenes(seen: list[View]) -> None:
+    picture, state = seen[0]
+    by = drawn(8, np.random.default_rng(0))._replace(
+        colours=torch.arange(4).expand(8, 4), shapes=torch.arange(4).expand(8, 4)
+    )
+    states = changed(torch.from_numpy(state).expand(8, 1, -1), by)[:, 0]
+    for drawn_picture, other in zip(turned(torch.from_numpy(picture).expand(8, -1, -1, -1), by), states, strict=True):
+        with closing(magical_mj.Engine.of_scene(scene_of(other.numpy()), renderer="software")) as engine:
+            differs = np.abs(engine.render("allo", 96).astype(int) - drawn_picture.numpy()).max(2) > 60
+        assert differs.mean() < 0.02
+
+
+def test_sight_learns_from_pictures(seen: list[View]) -> None:
+    torch.manual_seed(0)
+    network, losses = Sight(), []
+    optimizer = torch.optim.Adam(network.parameters(), 3e-3)
+    for update in range(60):
+        loss = sight_loss(network, seen, np.random.default_rng(update), 8)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert np.mean(losses[-10:]) < 0.8 * np.mean(losses[:10])
+    found = network.states(np.stack([one.picture for one in seen]))
+    assert found.shape == (len(seen), len(seen[0].state))
+    assert np.isfinite(found).all()
+
+
+def test_blocks_keep_their_numbers(seen: list[View]) -> None:
+    before = seen[0].state
+    count = int(blocks_of(torch.from_numpy(before))[:, 0].sum())
+    now = before.copy()
+    rows = blocks_of(torch.from_numpy(now))
+    rows[:count, 1:3] += 0.05
+    order = np.random.default_rng(0).permutation(count)
+    rows[:count] = rows[:count][order].clone()
+    rows[count - 1] = 0  # is not seen
+    (found,) = inferring.followed(now[None], before)
+    old, new = (blocks_of(torch.from_numpy(one)) for one in (before, found))
+    lost = order[count - 1]
+    moved = (new[:, 1:3] - old[:, 1:3]).norm(dim=1)
+    assert moved[lost] == 0
+    assert all(moved[k] == pytest.approx(0.05 * 2**0.5, abs=1e-5) for k in range(count) if k != lost)
+    assert torch.equal(old[:, 7:], new[:, 7:])
+
+
 def test_a_training_continues(data: list[Lesson], tmp_path: Path) -> None:
     train(data, tmp_path / "whole", "scorer", updates=2)
     with pytest.raises(KeyboardInterrupt):
@@ -198,29 +327,3 @@ def test_a_training_continues(data: list[Lesson], tmp_path: Path) -> None:
 def _interrupted(updates: int, _: float) -> None:
     if updates == 1:
         raise KeyboardInterrupt
-
-
-def test_training_intents_include_the_seen_ones() -> None:
-    intents = trained_intents(200)
-    assert len(set(intents)) == 200
-    assert set(intents) <= set(SETS["train"])
-    assert set(SETS["seen"][:20]) <= set(intents)
-
-
-def test_pictures_are_cloned_with_the_sentence(tmp_path: Path) -> None:
-    intent = parse("robot in()")
-    films = pictures.films([intent], tmp_path / "demonstrations")
-    assert len(films) == 3
-    pictures.train(films, tmp_path / "run", updates=6)
-    policy = pictures.load_policy(tmp_path / "run")
-    with torch.inference_mode():
-        film = films[0]
-        words = torch.from_numpy(film.words[:1]).expand(len(film.actions), -1)
-        logits = policy._network(torch.from_numpy(film.pictures), words)
-    assert torch.nn.functional.cross_entropy(logits, torch.from_numpy(film.actions)) < math.log(18)
-    played = magical_mj.evaluate(policy, tasks=f"intent:{intent}", variants="Demo", episodes=1, jobs=1)
-    assert played["failure"].isna().all()
-    assert set(played["given"]) == {"instruction"}
-    checkpoint.write(tmp_path / pictures.POLICY, {"weights": {}})
-    with pytest.raises(TrainingError, match="does not contain a policy"):
-        pictures.load_policy(tmp_path)
