@@ -141,8 +141,10 @@ def _endings(results: Sequence[Attribution]) -> Table:
     groups = []
     for (method,), own in _grouped(results, "method").items():
         environments = {" ".join(pair): group for pair, group in _grouped(own, "task", "variant").items()}
-        rows = []
-        for environment, group in {**environments, "all": own}.items():
+        demo = [result for result in own if result.episode.variant == "Demo"]
+        others = [result for result in own if result.episode.variant != "Demo"]
+        rows, sums = [], {"all Demo": demo, "all others": others} if demo and others else {"all": own}
+        for environment, group in {**environments, **sums}.items():
             means = shares(group)
             rows.append((environment, str(len(group)), *(_percent(means[name]) for name in shown)))
         groups.append((method, tuple(rows)))

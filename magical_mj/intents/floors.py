@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from magical_mj.intents.intent import Intent
-from magical_mj.intents.names import task_intent
+from magical_mj.intents.names import has_intent, task_intent
 from magical_mj.intents.plans import plan, planned
 from magical_mj.intents.readings import moved_blocks
 from magical_mj.intents.relations import Conjunct
@@ -174,7 +174,8 @@ class Shortcut:
 
     uses_simulation = True
 
-    def __init__(self, todo: Todo) -> None:
+    def __init__(self, name: str, todo: Todo) -> None:
+        self.__name__ = f"shortcut {name}"  # its name in results
         self.todo = todo
 
     def end(self, intent: Intent, demo: Scene, initial: Scene) -> Scene:
@@ -189,8 +190,11 @@ class Shortcut:
         from magical_mj.experts.planner import PlanFollower, Planner
 
         env = episode.env
-        if env is None or env.horizon is None or env.task is None:
-            raise SettingsError("shortcuts need the simulation of an intent, and cannot play in vector environments")
+        if env is None or env.horizon is None or env.task is None or not has_intent(env.task):
+            raise SettingsError(
+                "shortcuts need the simulation of an intent, or of a task that has one, and cannot play in vector "
+                "environments"
+            )
         intent, initial = task_intent(env.task), env.initial_scene
         todo = partial(self.todo, intent, task_spec(env.task).demo, initial)
         planner = partial(
@@ -213,6 +217,9 @@ class Circling:
 
     uses_observations = False
 
+    def __init__(self) -> None:
+        self.__name__ = "shortcut circling"
+
     def end(self, intent: Intent, demo: Scene, initial: Scene) -> Scene:
         """The initial scene: without simulation, the robot touches no block."""
         del intent, demo
@@ -234,7 +241,9 @@ RULES: Final[Mapping[str, Rule]] = MappingProxyType(
 )
 """Name of a shortcut -> the blocks that it chooses."""
 shortcuts: Final[Mapping[str, Shortcut | Circling]] = MappingProxyType(
-    {name: Shortcut(partial(_of_rule, rule)) for name, rule in RULES.items()}
-    | {"demonstrated ends": Shortcut(_same_ends), "random places": Shortcut(_random_places), "circling": Circling()}
+    {name: Shortcut(name, partial(_of_rule, rule)) for name, rule in RULES.items()}
+    | {"demonstrated ends": Shortcut("demonstrated ends", _same_ends)}
+    | {"random places": Shortcut("random places", _random_places)}
+    | {"circling": Circling()}
 )
 """Name -> a policy for `magical_mj.evaluate`."""

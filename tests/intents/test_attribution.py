@@ -160,6 +160,17 @@ def test_methods_that_were_given_other_demonstrations_have_rows_of_their_own(tmp
     assert rows["episodes"].tolist() == [1, 1]
 
 
+def test_endings_in_demo_are_summed_apart(tmp_path: Path) -> None:
+    """By hand: nothing is done in Demo, and the region is reached once in two episodes of Layout."""
+    demo, layout = (attributed(played("MoveToRegion", variant, 0, [])) for variant in ("Demo", "Layout"))
+    solved = replace(layout, ending={"intended": 1.0})
+    for results, sums in (([demo, layout, solved], ["all Demo", "all others"]), ([layout, solved], ["all"])):
+        write_explanation(Explanation(results), tmp_path)
+        page = (tmp_path / "explained.md").read_text("utf-8")
+        assert re.findall(r"\| (all[ \w]*) \|", page)[: len(sums)] == sums
+        assert f"| {sums[-1]} | 2 | 50 | 50 |" in page
+
+
 def test_diagnose_says_which_rival_a_policy_pursued(tmp_path: Path) -> None:
     """The expert pursues one of the ten simplest rivals, in a scene that refutes it."""
     intent = parse("in(colour=red, region)")

@@ -8,6 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
+import magical_mj
 from magical_mj.intents import EIGHT, SETS, parse, shortcuts
 from magical_mj.intents.by_set import floors
 from magical_mj.intents.draws import FILE, in_sets
@@ -17,7 +18,7 @@ from magical_mj.intents.scenes import accepts
 from magical_mj.intents.selectors import REST
 from magical_mj.protocol import INTENTS
 from magical_mj.tasks.registry import environments, listed_tasks, task_name, task_spec
-from magical_mj.utils.errors import IntentError
+from magical_mj.utils.errors import EvaluationError, IntentError
 from magical_mj.variants import vary
 
 MATCHED = ("seen", "combined", "selector", "relation")
@@ -79,6 +80,15 @@ def test_matched_sets_take_the_same_effort() -> None:
 def test_shortcuts_fail(name: str) -> None:
     assert set(floors()[name]) == set(shortcuts)
     assert max(floors()[name].values()) <= 0.1
+
+
+def test_each_shortcut_has_a_name_of_its_own_in_results() -> None:
+    settings = {"tasks": "intent:dev/3", "variants": "Layout", "episodes": 1, "preset": "State", "jobs": 1}
+    names = ("circling", "nearest blocks")
+    found = [magical_mj.evaluate(shortcuts[name], **settings)["policy"].tolist() for name in names]
+    assert found == [["shortcut circling"], ["shortcut nearest blocks"]]
+    with pytest.raises(EvaluationError, match="shortcuts need the simulation of an intent"):
+        magical_mj.evaluate(shortcuts["all blocks"], **{**settings, "tasks": "SweepToTop", "variants": "Demo"})
 
 
 @pytest.mark.parametrize("name", NAMES)
