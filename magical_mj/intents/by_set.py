@@ -40,7 +40,7 @@ class Row(NamedTuple):
 
     Attributes:
         method: the policy and what it received.
-        set: the name of the set.
+        set: the name of the set, with the settings of its demo scenes if there are several.
         variants: "Demo", or the other variants that were played.
         intents, runs, episodes: their numbers.
         values: measure -> the mean with its interval, which covers intents, their scenes, and runs.
@@ -79,15 +79,22 @@ def rows(episodes: Iterable[EpisodeResult]) -> list[Row]:
     groups = defaultdict[tuple[str, str, bool], list[EpisodeResult]](list)
     for episode in episodes:
         if episode.task.startswith(PREFIX) and not episode.shift and not episode.other:
-            groups[episode.method, set_of(episode.task), episode.variant == "Demo"].append(with_side_effects(episode))
+            name = set_of(episode.task) + _several(episode.task)
+            groups[episode.method, name, episode.variant == "Demo"].append(with_side_effects(episode))
     return [_row(method, name, group) for (method, name, _), group in sorted(groups.items())]
+
+
+def _several(task: str) -> str:
+    """The settings of an intent with several demo scenes, since policies may receive demonstrations in all of them."""
+    own = task_of(task.removeprefix(PREFIX))
+    return str(replace(own, seed=0)).removeprefix(str(own.intent))
 
 
 def _row(method: str, name: str, group: Sequence[EpisodeResult]) -> Row:
     tasks, runs = sorted({one.task for one in group}), sorted({one.run for one in group})
     values = {measure: _estimate(group, measure, tasks, runs) for measure in MEASURES}
     variants = {one.variant for one in group}
-    known = floors().get(name, {}) if variants <= {*OFFICIAL_VARIANTS} else {}
+    known = floors().get(name.partition(" [")[0], {}) if variants <= {*OFFICIAL_VARIANTS} else {}
     best = max(known.items(), key=lambda pair: pair[1], default=None)
     shown = " and ".join(sorted(variants, reverse=True))
     return Row(method, name, shown, len(tasks), len(runs), len(group), values, best)

@@ -15,9 +15,10 @@ from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.intents import shortcuts
 from magical_mj.intents.by_set import by_intent, floors, rows, set_of, with_side_effects
 from magical_mj.intents.names import TESTS, tasks_in
-from magical_mj.tasks.registry import task_spec
+from magical_mj.tasks.registry import task_name, task_spec
 from magical_mj.utils.errors import IntentError
 from tests.helpers.commands import Shell
+from tests.helpers.evaluations import TEMPLATE
 from tools.intent_baselines import EPISODES
 from tools.pages import ROOT
 from tools.stored_episodes import stored
@@ -116,3 +117,12 @@ def test_policies_can_receive_the_name_of_an_intent() -> None:
         EvaluationSettings(tasks="MoveToRegion", like="intent:robot flies()")
     assert task_spec(TASK).title == TASK
     assert task_spec(TASK).instruction == "Bring all red blocks into the region."
+
+
+def test_demonstrations_in_other_scenes_have_rows_of_their_own() -> None:
+    plain, several = (f"intent:combined/3{settings}" for settings in ("", " [demos=4, contrasting]"))
+    episodes = [replace(TEMPLATE, task=task_name(task), variant="All") for task in (plain, several)]
+    found = {row.set: row for row in rows(episodes)}
+    assert set(found) == {"combined", "combined [demos=4, contrasting]"}
+    assert {row.intents for row in found.values()} == {1}
+    assert len({row.floor for row in found.values()}) == 1
