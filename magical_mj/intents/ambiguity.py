@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ from magical_mj.intents.selectors import (
     names_one,
     selected,
 )
-from magical_mj.scene import Scene, check_scene_type
+from magical_mj.scene import Scene, check_same_objects
 from magical_mj.utils.errors import SettingsError, short_repr
 
 MOST_IN_REGION: Final = 3
@@ -41,6 +41,7 @@ MOST_IN_REGION: Final = 3
 Flags = NDArray[np.bool_]
 
 
+@runtime_checkable
 class HasScenes(Protocol):
     """A demonstration, or another object with the scenes of its steps."""
 
@@ -67,6 +68,7 @@ def rivals(demonstrations: Iterable[HasScenes | Ends], bits: float = 24.0) -> li
 
     Raises:
         SettingsError: if `demonstrations` is empty or contains other objects.
+        InvalidSceneError: if a pair is not of scenes with the same blocks and regions.
     """
     ends = [] if isinstance(demonstrations, str) else [ends_of(demonstration) for demonstration in demonstrations]
     if not ends:
@@ -89,6 +91,7 @@ def explain(initial: Scene, final: Scene, bits: float = 24.0) -> list[Intent]:
 
     Goals about what moved come first, and those about blocks that did not move last; the simplest first among each.
     """
+    check_same_objects(initial, final)
     moved = set(moved_blocks(initial, final))
     drove = math.hypot(initial.robot.x - final.robot.x, initial.robot.y - final.robot.y) > STAYED
 
@@ -112,10 +115,11 @@ def explain(initial: Scene, final: Scene, bits: float = 24.0) -> list[Intent]:
 
 def ends_of(demonstration: HasScenes | Ends) -> Ends:
     """The initial and the final scene of a demonstration."""
-    if isinstance(demonstration, tuple):
-        for scene in demonstration:
-            check_scene_type(scene)
+    if isinstance(demonstration, tuple) and len(demonstration) == 2:
+        check_same_objects(*demonstration)
         return demonstration
+    if not isinstance(demonstration, HasScenes):
+        raise SettingsError(f"{short_repr(demonstration)} is neither a demonstration nor a pair of scenes")
     scenes = demonstration.scenes()
     return scenes[0], scenes[-1]
 

@@ -25,7 +25,7 @@ from magical_mj.intents.selectors import (
     UngroundedError,
     names_one,
 )
-from magical_mj.scene import Scene
+from magical_mj.scene import Scene, check_same_objects
 from magical_mj.tasks.languages import canonical_name, language_spec
 from magical_mj.tasks.spec import TaskSpec
 from magical_mj.utils.errors import IntentError, short_repr
@@ -68,7 +68,13 @@ class Intent:
         return max(0.0, (now - before) / (1.0 - before))
 
     def share(self, initial: Scene, final: Scene) -> float:
-        """The mean of the conjuncts' shares (`share_of`). 0 if a conjunct is undefined in the initial scene."""
+        """The mean of the conjuncts' shares (`share_of`). 0 if a conjunct is undefined in the initial scene.
+
+        Raises:
+            InvalidSceneError: if the final scene has other blocks or regions.
+        """
+        if final is not initial:
+            check_same_objects(initial, final)
         try:
             shares = [share_of(parts) for parts in self.parts(initial, final)]
         except UngroundedError:

@@ -24,6 +24,9 @@ from magical_mj.utils.imports import check_named
 SCENE_FORMAT: Final = 1
 """The version of the JSON form, stored in it as ``"format"``."""
 
+REGION_TOLERANCE: Final = 1e-6
+"""The rounding tolerance (world units) for regions of a scene that is read from the simulation."""
+
 SMALLEST_ARENA, LARGEST_ARENA = 0.5, 2.0
 """The bounds of the arena's half width, in world units."""
 
@@ -291,6 +294,26 @@ def check_scene_type(scene: object) -> Scene:
     if not isinstance(scene, Scene):
         raise InvalidSceneError(f"{short_repr(scene)} is not a magical_mj.Scene; Scene.from_json creates one from JSON")
     return scene
+
+
+def check_same_objects(initial: object, final: object) -> None:
+    """Raises an `InvalidSceneError` unless both are scenes with the same blocks, in any poses, and goal regions."""
+    initial, final = check_scene_type(initial), check_scene_type(final)
+    before, after = ([f"{block.colour} {block.shape}" for block in scene.blocks] for scene in (initial, final))
+    if before != after:
+        raise InvalidSceneError(
+            "the final scene must have the initial scene's blocks in the same order, "
+            f"{', '.join(before) or 'none'}, not {', '.join(after) or 'none'}"
+        )
+    if initial.regions == final.regions:
+        return
+    pairs = list(zip(initial.regions, final.regions, strict=False))
+    gaps = [abs(side - other) for one, two in pairs for side, other in zip(one.box, two.box, strict=True)]
+    alike = len(initial.regions) == len(final.regions) and all(one.colour == two.colour for one, two in pairs)
+    if not alike or max(gaps, default=0.0) > REGION_TOLERANCE:
+        raise InvalidSceneError(
+            f"the final scene must have the initial scene's goal regions, {initial.regions}, not {final.regions}"
+        )
 
 
 _Body = TypeVar("_Body", Robot, Block)

@@ -15,9 +15,7 @@ from functools import cache
 from importlib.metadata import EntryPoint
 from typing import Any, Final, cast
 
-import numpy as np
-
-from magical_mj.scene import Scene, check_scene_type
+from magical_mj.scene import Scene, check_same_objects, check_scene_type
 from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks import KNOWN, RULES, SPECS, Rules, TaskSpec
@@ -37,9 +35,6 @@ from magical_mj.variants import OTHER_VARIANTS, Axis, check_seed, varied_axes, v
 from magical_mj.variants import VARIANTS as _VARIANTS
 from magical_mj.variants.placement import contact
 from magical_mj.variants.rules import is_task_name
-
-_REGION_TOLERANCE: Final = 1e-6
-"""The rounding tolerance (world units) for regions of a scene that is read from the simulation."""
 
 TASKS: Final[tuple[str, ...]] = tuple(SPECS)
 """The benchmark's tasks in the paper's order. "all" means these; tasks of other packages must be named."""
@@ -324,24 +319,8 @@ def score_trajectory(task: str, scenes: Sequence[Scene], rules: Rules = "paper")
     with imports.errors_of_user(f"{spec.title}.check failed"):
         spec.check(scenes[0])
     for scene in scenes[1:] if spec.trajectory else scenes[-1:]:
-        _check_same(scenes[0], scene)
+        check_same_objects(scenes[0], scene)
     return spec.checked_score(scenes, rules)
-
-
-def _check_same(initial: Scene, final: Scene) -> None:
-    """Raises an `InvalidSceneError` unless both scenes have the same blocks (poses may differ) and goal regions."""
-    before, after = ([f"{block.colour} {block.shape}" for block in scene.blocks] for scene in (initial, final))
-    if before != after:
-        raise InvalidSceneError(
-            "the final scene must have the initial scene's blocks in the same order, "
-            f"{', '.join(before) or 'none'}, not {', '.join(after) or 'none'}"
-        )
-    boxes = [[region.box for region in scene.regions] for scene in (initial, final)]
-    colours = [[region.colour for region in scene.regions] for scene in (initial, final)]
-    if colours[0] != colours[1] or not np.allclose(*boxes, rtol=0.0, atol=_REGION_TOLERANCE):
-        raise InvalidSceneError(
-            f"the final scene must have the initial scene's goal regions, {initial.regions}, not {final.regions}"
-        )
 
 
 # Tasks of other packages

@@ -19,7 +19,7 @@ from magical_mj.intents.relations import Conjunct
 from magical_mj.intents.selectors import REST
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.tasks.registry import ENVIRONMENTS, sample_scene, score
-from magical_mj.utils.errors import IntentError, MagicalError
+from magical_mj.utils.errors import IntentError, InvalidSceneError, MagicalError
 
 REGION = GoalRegion("blue", -0.4, -0.4, 0.4, 0.4)
 START = Scene(
@@ -387,7 +387,19 @@ def test_any_intents_can_be_judged_together() -> None:
     assert np.array(found).any(axis=0)[:4].all()
 
 
-@pytest.mark.parametrize("wrong", ["FindDupe", [], [(1, 2)]])
+def test_the_final_scene_is_of_the_same_episode() -> None:
+    """With other blocks, a number in the place of a block would be about another one."""
+    other = replace(START, blocks=START.blocks[::-1])
+    for call in (parse("in(colour=red, region)").holds, parse("line(all)").score, explain):
+        with pytest.raises(InvalidSceneError, match="the final scene must have the initial scene's blocks"):
+            call(START, other)
+        with pytest.raises(InvalidSceneError, match="the final scene must have the initial scene's goal regions"):
+            call(START, replace(START, regions=()))
+
+
+@pytest.mark.parametrize(
+    "wrong", ["FindDupe", [], [(1, 2)], [START], [(START,)], [(START, replace(START, regions=()))]]
+)
 def test_rivals_are_of_demonstrations_or_scenes(wrong: Any) -> None:
     with pytest.raises(MagicalError):
         rivals(wrong)
