@@ -187,4 +187,4 @@ class IntentsSection(ReportSection):
         """Computes the rows of all episodes of intents."""
         if not (found := rows(episode for _, episode in inputs.episodes())):
             raise SettingsError("--intents: no episode is of an intent")
-        return Prepared(partial(write_rows, found))
+        return Prepared(partial(write_rows, found), [table(found)])

@@ -124,8 +124,13 @@ class Intent:
                 instead of drawing it as Layout and Colour do. Needs at least two.
 
         Raises:
-            IntentError: if a setting is invalid, or no scene was found for the intent.
+            IntentError: if a setting is invalid, no scene was found for the intent, or it is of a subclass.
         """
+        if type(self) is not Intent:
+            raise IntentError(
+                f"the task of an intent is what its text says, and {type(self).__name__} may mean something else: make "
+                "a TaskSpec with its score, as docs/adding-a-task.md shows"
+            )
         settings = f"seed={seed}, demos={demos}{', contrasting' if contrasting else ''}"
         return language_spec(canonical_name(f"intent:{self} [{settings}]"))
 

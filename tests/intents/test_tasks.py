@@ -10,10 +10,11 @@ import pytest
 import magical_mj
 from magical_mj.engine import Engine
 from magical_mj.experts import Expert
-from magical_mj.intents import parse, rivals
+from magical_mj.intents import Intent, parse, rivals
 from magical_mj.intents.contrast import refutes, simplest_rivals
 from magical_mj.intents.plans import solved
 from magical_mj.intents.scenes import accepts
+from magical_mj.scene import Scene
 from magical_mj.tasks.registry import code_digest, environments, sample_scene, task_name, task_spec
 from magical_mj.utils.errors import IntentError, UnknownNameError
 
@@ -25,6 +26,15 @@ def test_an_intent_is_a_task_in_load() -> None:
         env.reset()
         assert env.initial_scene == sample_scene(NAME, "Layout", 0)
         assert env.score() == 0.0
+
+
+def test_a_subclass_that_may_mean_something_else_has_no_task() -> None:
+    class Reversed(Intent):
+        def score(self, initial: Scene, final: Scene) -> float:
+            return 1.0 - super().score(initial, final)
+
+    with pytest.raises(IntentError, match="Reversed may mean something else: make a TaskSpec"):
+        Reversed(parse("line(all)").conjuncts).spec()
 
 
 def test_every_spelling_of_an_intent_is_the_same_task() -> None:

@@ -73,6 +73,7 @@ def test_rows_tell_sets_and_variants_apart(played: Path) -> None:
 def test_a_report_has_a_page_of_sets(played: Path, tmp_path: Path, shell: Shell) -> None:
     assert shell("report", played, "--out", tmp_path / "report", "--intents")[0] == 0
     page = (tmp_path / "report" / "report.md").read_text("utf-8")
+    assert page.index("| Set | Variants | intents |") < page.index("## Environments")
     assert "Intents by set" in page
     assert "outside the benchmark" not in page
     table = pd.read_csv(tmp_path / "report" / "intents" / "intents.csv")
