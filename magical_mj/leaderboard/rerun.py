@@ -62,7 +62,7 @@ def rerun(
     jobs: int | None = None,
     watch: Callable[[int, int], object] = lambda *_: None,
 ) -> Estimate:
-    """Plays stored policies in fresh scenes of the entry's environments.
+    """Plays stored policies in fresh scenes of the entry's environments, without intents.
 
     Args:
         entry: the entry.
@@ -80,7 +80,9 @@ def rerun(
         EvaluationError: if a task has no policy, or the entry has no episodes of a policy.
         SettingsError: if a policy cannot be loaded.
     """
-    played = {(row.task, row.variant) for row in entry.counted}
+    played = {(row.task, row.variant) for row in entry.counted if row.task in TASKS}
+    if not played:
+        raise EvaluationError(f"{entry.method} has only intents, which are not played again")
     if absent := sorted({task for task, _ in played} - {task for policy in policies for task in _tasks(policy)}):
         raise EvaluationError(f"{entry.method} has no policy for {', '.join(absent)} in {POLICIES}")
     evaluations = []

@@ -11,6 +11,7 @@ from msgspec import structs
 from magical_mj.leaderboard import Entry, check_entries, read_entry, submit, verify
 from magical_mj.leaderboard.entry import packed, unpacked
 from magical_mj.leaderboard.page import HTML, tables, write_pages
+from magical_mj.leaderboard.rerun import rerun
 from magical_mj.leaderboard.standings import gaps, standings
 from magical_mj.utils.errors import EvaluationError
 from tests.helpers.evaluations import evaluate
@@ -69,6 +70,11 @@ def test_only_the_test_sets_have_a_place(entries: dict[str, Entry], tmp_path: Pa
     other = replace(entries["reader"].episodes[0], task="intent:line(all)")
     with pytest.raises(EvaluationError, match="which is not an environment"):
         unpacked(packed(structs.replace(entries["reader"], episodes=[other])))
+
+
+def test_intents_are_not_played_again(entries: dict[str, Entry]) -> None:
+    with pytest.raises(EvaluationError, match="Reader has only intents, which are not played again"):
+        rerun(entries["reader"], [], first_seed=0)
 
 
 def test_a_complete_evaluation_of_intents_is_confirmed(folder: Path) -> None:
