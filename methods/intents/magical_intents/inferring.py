@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from magical_goals.inference import Goal, infer
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from magical_intents.carrier import NOTHING, Carrier
 from magical_intents.scenes import ROBOT, scene_of
@@ -23,7 +23,7 @@ from magical_intents.skill import Skill
 from magical_mj.intents import Intent
 from magical_mj.intents.plans import plan, solved
 from magical_mj.learners import checkpoint
-from magical_mj.learners.networks import SHAPES, blocks_of
+from magical_mj.learners.networks import COLOURS, SHAPES, blocks_of
 from magical_mj.learners.settings import STATE
 from magical_mj.observations import FINGERS
 from magical_mj.policies.interface import Episode
@@ -40,8 +40,12 @@ COMPARED: Final = 40
 """The number of the most probable intents whose plans are compared."""
 ROBOT_ENTRIES: Final = FINGERS.stop
 """The number of the robot's entries in a state, which are the first ones."""
-LOST: Final = 0.5
-"""A block is not seen if nothing of its colour and shape is nearer (units) to where it was."""
+MISTAKEN: Final = 0.15
+"""A block of another colour or shape counts as if it were this much farther (units)."""
+LOST: Final = 0.4
+"""A block that is seen farther (units) from where it was has the same colour and shape."""
+PREFERRED: Final = 1.5
+"""How often its first colour and shape count as seen."""
 
 
 class InferringPolicy:
@@ -98,24 +102,32 @@ class InferringPolicy:
 def followed(seen: NDArray[np.float32], before: NDArray[np.float32] | None) -> NDArray[np.float32]:
     """Successive states (n, names) with blocks and regions in the order of the first one, or of the state before.
 
-    Each block is the nearest one of its colour and shape. A block that is not seen stays where it was.
+    Each block becomes the nearest one that is seen, preferably of its colour and shape; without any, it stays. It has
+    the colour and the shape that are seen most often.
     """
     states, last = [], seen[0] if before is None else before
+    votes = PREFERRED * blocks_of(torch.tensor(last))[:, SHAPES.start :]
     for state in seen:
         now = last.copy()
         now[:ROBOT_ENTRIES] = state[:ROBOT_ENTRIES]
         old, new, places = (blocks_of(torch.from_numpy(one)) for one in (last, state, now))
-        gaps = torch.cdist(old[:, 1:3], new[:, 1:3]) + (
-            old[:, None, SHAPES.start :] - new[:, SHAPES.start :]
-        ).abs().sum(2)
+        differ = (old[:, None, SHAPES.start :] != new[:, SHAPES.start :]).any(2)
+        gaps = torch.cdist(old[:, 1:3], new[:, 1:3]) + MISTAKEN * differ
+        gaps[differ & (gaps > LOST)] = math.inf
         gaps[(old[:, 0] == 0)[:, None] | (new[:, 0] == 0)] = math.inf
-        while gaps.min() < LOST:
+        while gaps.min() < math.inf:
             number, other = divmod(int(gaps.argmin()), len(gaps))
             places[number, 1:3] = new[other, 1:3]
+            votes[number] += new[other, SHAPES.start :]
             gaps[number], gaps[:, other] = math.inf, math.inf
         states.append(now)
         last = now
-    return np.stack(states)
+    followed = np.stack(states)
+    blocks = blocks_of(torch.from_numpy(followed))
+    for columns in (SHAPES, COLOURS):
+        kinds = votes[:, columns.start - SHAPES.start : columns.stop - SHAPES.start]
+        blocks[..., columns] = nn.functional.one_hot(kinds.argmax(1), kinds.shape[1]) * blocks[..., :1]
+    return followed
 
 
 def inferred(ends: tuple[tuple[Scene, Scene], ...]) -> list[Goal]:

@@ -37,8 +37,8 @@ from magical_mj.utils.errors import TrainingError
 
 NOVICE, SKILL, SIGHT, SCORER = "novice", "skill", "sight", "scorer"
 """The trainings. The novice is a skill that acts in a part of the practice of the final one."""
-UPDATES: Final = {NOVICE: 1500, SKILL: 4000, SIGHT: 1200, SCORER: 1500}
-PRACTICE: Final = {NOVICE: 17, SKILL: 3}
+UPDATES: Final = {NOVICE: 4000, SKILL: 4000, SIGHT: 2200, SCORER: 1500}
+PRACTICE: Final = {NOVICE: 17, SKILL: 6}
 """The number of files of practice that each adds."""
 VIEWS: Final = 12
 """The number of files of pictures."""
