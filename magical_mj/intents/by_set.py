@@ -24,7 +24,7 @@ from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSectio
 from magical_mj.evaluation.reports.tables import NONE, Table, markdown
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents.draws import in_sets
-from magical_mj.intents.given import OFFICIAL_VARIANTS
+from magical_mj.intents.names import OFFICIAL_VARIANTS
 from magical_mj.intents.tasks import PREFIX, task_of
 from magical_mj.utils.errors import SettingsError
 

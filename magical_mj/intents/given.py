@@ -21,7 +21,14 @@ from magical_mj.evaluation.replay import engine_for, replay_problem
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents import EIGHT, SETS, Intent
 from magical_mj.intents.expert_data import with_scenes
-from magical_mj.intents.names import TESTS, has_intent, task_intent, tasks_in
+from magical_mj.intents.names import (
+    OFFICIAL_EPISODES,
+    OFFICIAL_VARIANTS,
+    TESTS,
+    has_intent,
+    task_intent,
+    tasks_in,
+)
 from magical_mj.intents.tasks import PREFIX, task_of
 from magical_mj.policies.interface import Episode, Transitions
 from magical_mj.policies.loading import Source
@@ -42,8 +49,6 @@ DEMONSTRATIONS_GIVEN: Final = 8
 
 OFFICIAL: Final = "intents"
 """As `tasks`, this means the official evaluation: the test sets, by default two episodes in each of Layout and All."""
-OFFICIAL_VARIANTS: Final = ("Layout", "All")
-OFFICIAL_EPISODES: Final = 2
 
 
 @dataclass(frozen=True, kw_only=True)

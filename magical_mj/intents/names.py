@@ -52,6 +52,9 @@ NAMES: Final[Mapping[str, str]] = {
 """Set -> a description of its intents."""
 TESTS: Final = ("seen", "combined", "selector", "relation", "long")
 """The test sets."""
+OFFICIAL_VARIANTS: Final = ("Layout", "All")
+OFFICIAL_EPISODES: Final = 2
+"""The variants of the official evaluation on the test sets, and its number of episodes in each."""
 
 
 @cache

@@ -13,7 +13,6 @@ from typing import Final
 from magical_mj.evaluation.reports.intervals import Estimate
 from magical_mj.evaluation.reports.statistics import area, half_lost
 from magical_mj.evaluation.reports.tables import DAGGER, NONE, Group, Table, markdown
-from magical_mj.intents import by_set
 from magical_mj.leaderboard.entry import SHIFT_SEEDS, Demonstrations
 from magical_mj.leaderboard.places import track
 from magical_mj.leaderboard.standings import (
@@ -336,6 +335,8 @@ def _shifts(methods: Sequence[Standing]) -> Table:
 
 def _intents(methods: Sequence[Standing]) -> Table:
     """A row for each method and set of intents, in blocks by what policies observe and receive."""
+    from magical_mj.intents import by_set  # imported late: it loads the simulator
+
     groups = defaultdict[str, list[tuple[str, ...]]](list)
     for method in _entered(methods):
         block = f"{BLOCKS[method.block]}; given {method.entry.recorded.given or 'nothing'}"

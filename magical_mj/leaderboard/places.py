@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from functools import cache
 from itertools import product
 
-from magical_mj.intents.given import OFFICIAL_EPISODES, OFFICIAL_VARIANTS
-from magical_mj.intents.names import TESTS, tasks_in
+from magical_mj.intents.names import OFFICIAL_EPISODES, OFFICIAL_VARIANTS, TESTS, tasks_in
 from magical_mj.intents.tasks import PREFIX
 from magical_mj.protocol import SEEDS
 from magical_mj.shifts import expand_shifts, shift_label
