@@ -14,6 +14,7 @@ from magical_intents import inferring
 from magical_intents.carrier import NOTHING, Carrier
 from magical_intents.cloning import Cloned
 from magical_intents.ends import RIGHT, after, judged_in, resting
+from magical_intents.guide import Guide
 from magical_intents.policy import POLICY, load_policy
 from magical_intents.practice import Steps, brought, kept
 from magical_intents.scenery import View, pictures_of_scene
@@ -38,6 +39,8 @@ from magical_mj.intents import parse
 from magical_mj.intents.plans import solved
 from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import blocks_of, regions_of
+from magical_mj.observations import FINGERS
+from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.utils.errors import TrainingError
 
@@ -99,6 +102,17 @@ def test_a_carrier_chooses_blocks_then_the_robot_then_nothing() -> None:
         chosen.append(carrier.brought)
     assert chosen[0] in (0, 1)
     assert chosen[1:] == [ROBOT, NOTHING]
+
+
+def test_a_guide_leads_around_blocks_and_with_a_held_block_to_its_place() -> None:
+    row = [Block("circle", "red", x, -0.1, 0.0) for x in (-0.3, 0.0, 0.3)]
+    scene = Scene(Robot(0.0, -0.6, 0.0), (*row, Block("square", "blue", 0.0, 0.5, 0.0)))
+    (state,) = resting([scene])
+    assert abs(Guide(3, (-0.7, 0.7))(state)[0]) > 0.4
+    near = resting([scene.moved((0.0, 0.27, 0.0), [*(one.pose for one in row), (0.0, 0.6, 0.0)])])[0]
+    near[FINGERS] = 0.2, -0.2
+    assert Guide(3, (0.0, 0.8))(near) == pytest.approx((0.0, 0.8))
+    assert Guide(ROBOT, (0.5, 0.3))(near) == pytest.approx((0.5, 0.3))
 
 
 def test_changed_scenes_and_sentences_agree() -> None:
