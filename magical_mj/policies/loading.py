@@ -369,7 +369,7 @@ def _check_tasks(policy: object, pairs: Sequence[Pair], like: str) -> None:
     for task, _ in pairs:
         name = policy_task(task, policy, like)
         if name not in tasks and not (name == NEUTRAL and task in tasks):
-            others.add(name)
+            others.add(task if name == NEUTRAL else name)
     if others:
         raise SettingsError(
             f"the policy cannot act in {', '.join(sorted(others))}: give --tasks {','.join(tasks)}, or --as with one "

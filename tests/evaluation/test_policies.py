@@ -253,6 +253,8 @@ def test_an_action_is_needed_for_each_environment() -> None:
 def test_tasks_may_be_a_word_and_an_iterator() -> None:
     with pytest.raises(SettingsError, match="cannot act in MoveToRegion: give --tasks MoveToCorner"):
         evaluate(Acting(tasks="MoveToCorner"), **STATE)
+    with pytest.raises(SettingsError, match=r"cannot act in intent:line\(all\): give --tasks MoveToCorner"):
+        evaluate(Acting(tasks="MoveToCorner"), **(STATE | {"tasks": "intent:line(all)"}))
     settings = EvaluationSettings(tasks=(task for task in ("FindDupe", "MakeLine")), variants=iter(["Demo"]))
     assert settings.environments == settings.environments == [("FindDupe", "Demo"), ("MakeLine", "Demo")]
 
