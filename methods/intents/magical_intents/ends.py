@@ -1,13 +1,12 @@
 """Samples for the scorer: initial scenes of training intents, and final scenes with their scores, without simulation.
 
 Some final scenes are ends of plans for the intent, others of plans for its rivals: intents that a demonstration in the
-first scene also reaches. In the others, blocks are elsewhere: some moved blocks are at their start, other blocks have
-moved instead of them, or some blocks of one colour or shape are at random places of one kind.
+first scene also reaches. The others are what the search asks about: scenes on the way to these ends, and after a move
+of one more object.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -15,35 +14,38 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from magical_intents.search import Floats, places
 from magical_mj.intents import Intent, rivals
+from magical_mj.intents.intent import MOST_CONJUNCTS, share_of
 from magical_mj.intents.plans import planned, solved
 from magical_mj.intents.scenes import ALL_RULES, demo_scene, redrawn
+from magical_mj.intents.selectors import REST
 from magical_mj.learners.networks import blocks_of
-from magical_mj.observations import StateEncoder
+from magical_mj.observations import MAX_BLOCKS, StateEncoder
 from magical_mj.scene import Scene
 from magical_mj.tasks.planning import Noise
 from magical_mj.utils.errors import IntentError, PlacementError
 
-SCENES: Final = 16
+SCENES: Final = 10
 """The number of scenes of each intent: the demo scene, some as in the variant Layout, and others as in All."""
 LAYOUTS: Final = 4
-ENDS: Final = 16
-"""The number of final scenes for each initial scene."""
 RIGHT: Final = 2
-"""The first of these are ends of plans for the intent: the cheapest plan, and a random one."""
-RIVALS: Final = 5
+"""The first final scenes are ends of plans for the intent: the cheapest plan, and a random one."""
+RIVALS: Final = 4
 """The number of rivals whose ends follow, if they have a plan in the scene."""
 BITS: Final = 22.0
 SIMPLEST: Final = 300
 """Rivals are drawn from this number of the simplest ones with at most `BITS` bits."""
-REACH: Final = 0.85
-"""The largest coordinate of a block (units)."""
+WAYS: Final = 2
+"""The number of scenes on the way to an end. Only the last can be the end itself."""
+TOWARDS: Final = 0.75
+"""How often such an end is right, and how often the next object is one that has to move."""
+KEPT: Final = 2
+"""The number of moves with the best scores, and of other moves, that are kept in such a scene."""
 MOVED: Final = 0.05
 """A body has moved if it is farther (units) from its start."""
 OPEN: Final = (0.39, -0.39)
 """The angles of the open fingers (rad)."""
-
-Places = list[tuple[float, float]]
 
 
 class Judged(NamedTuple):
@@ -53,11 +55,15 @@ class Judged(NamedTuple):
         start: the state, shape (names,).
         ends: the states of final scenes, shape (ends, names). The first `RIGHT` reach the intent.
         scores: the intent's score in each, shape (ends,).
+        shares: the share of each of its relations, shape (ends, MOST_CONJUNCTS); -1 if it has fewer.
+        named: which blocks its relations select, shape (MAX_BLOCKS,).
     """
 
     start: NDArray[np.float32]
     ends: NDArray[np.float32]
     scores: NDArray[np.float32]
+    shares: NDArray[np.float32]
+    named: NDArray[np.float32]
 
 
 def judged(intent: Intent, rng: np.random.Generator, scenes: int = SCENES) -> list[Judged]:
@@ -84,66 +90,64 @@ def judged_in(intent: Intent, scene: Scene, others: Sequence[Intent], rng: np.ra
     right = [solved(intent, scene, noise) for noise in (None, Noise(rng, 1.0))]
     if (first := right[0]) is None:
         return []
-    ends = [one or first for one in right]
+    goals = [_positions(one or first) for one in right]
     for other in [others[index] for index in rng.permutation(len(others))[:RIVALS].tolist()]:
-        ends += [end] if other.grounded(scene) and (end := solved(other, scene)) else []
-    while len(ends) < ENDS:
-        ends.append(elsewhere(scene, ends[int(rng.integers(len(ends)))], rng))
-    return [Judged(resting([scene])[0], resting(ends), _scores(intent, scene, ends))]
+        goals += [_positions(end)] if other.grounded(scene) and (end := solved(other, scene)) else []
+    every = [*goals, _positions(scene)]
+    for way in range(WAYS):
+        every += _moves(intent, scene, goals, rng, whole=way == WAYS - 1)
+    ends = [_placed(scene, each) for each in every]
+    shares = np.full((len(ends), MOST_CONJUNCTS), -1.0, np.float32)
+    for row, end in zip(shares, ends, strict=True):
+        row[: len(intent.conjuncts)] = [share_of(parts) for parts in intent.parts(scene, end)]
+    scores = np.array([intent.score(scene, end) for end in ends], np.float32)
+    return [Judged(resting([scene])[0], resting(ends), scores, shares, _named(intent, scene))]
 
 
-def _scores(intent: Intent, scene: Scene, ends: Iterable[Scene]) -> NDArray[np.float32]:
-    return np.array([intent.score(scene, end) for end in ends], np.float32)
+def _moves(intent: Intent, scene: Scene, goals: list[Floats], rng: np.random.Generator, *, whole: bool) -> list[Floats]:
+    """Positions on the way to a goal, and after moves of one object: those with the best scores, and some others."""
+    start, right = _positions(scene), rng.random() < TOWARDS or len(goals) == RIGHT
+    goal = goals[int(rng.integers(RIGHT)) if right else int(rng.integers(RIGHT, len(goals)))]
+    moved = np.flatnonzero(np.linalg.norm(goal - start, axis=1) > MOVED)
+    brought = rng.permutation(moved)[: int(rng.integers(len(moved) + whole))] if len(moved) else moved
+    way = start.copy()
+    way[brought] = goal[brought]
+    left = np.setdiff1d(moved, brought)
+    one = int(rng.choice(left)) if len(left) and rng.random() < TOWARDS else int(rng.integers(len(way)))
+    boxes = np.array([region.box for region in scene.regions], np.float32).reshape(-1, 4)
+    found = []
+    for place in places(way, one, boxes):
+        end = way.copy()
+        end[one] = place
+        found.append((intent.share(scene, _placed(scene, end)), rng.random(), end))
+    best = [end for *_, end in sorted(found, key=lambda each: each[:2], reverse=True)]
+    rest = best[KEPT:]
+    return [way, *best[:KEPT], *(rest[index] for index in rng.permutation(len(rest))[:KEPT])]
+
+
+def _named(intent: Intent, scene: Scene) -> NDArray[np.float32]:
+    pairs = zip(intent.conjuncts, intent.blocks(scene), strict=True)
+    flags = np.zeros(MAX_BLOCKS, np.float32)
+    flags[[block for conjunct, blocks in pairs if conjunct.selector != REST for block in blocks]] = 1.0
+    return flags
+
+
+def _positions(scene: Scene) -> Floats:
+    """The positions of the blocks and, last, the robot, shape (blocks + 1, 2)."""
+    return np.array([body.pose[:2] for body in (*scene.blocks, scene.robot)], np.float32)
+
+
+def _placed(scene: Scene, positions: Floats) -> Scene:
+    """The scene with such positions."""
+    *blocks, robot = positions.tolist()
+    poses = [(x, y, block.angle) for (x, y), block in zip(blocks, scene.blocks, strict=True)]
+    return scene.moved((*robot, scene.robot.angle), poses)
 
 
 def after(scene: Scene, state: NDArray[np.float32]) -> Scene:
     """The scene with the positions of a state (names,)."""
-    blocks = blocks_of(torch.from_numpy(state))[: len(scene.blocks), 1:3].tolist()
-    poses = [(x, y, block.angle) for (x, y), block in zip(blocks, scene.blocks, strict=True)]
-    return scene.moved((*state[:2].tolist(), scene.robot.angle), poses)
-
-
-def elsewhere(scene: Scene, end: Scene, rng: np.random.Generator) -> Scene:
-    """The final scene with some blocks elsewhere."""
-    starts, places = ([block.pose for block in each.blocks] for each in (scene, end))
-    far = [math.dist(one[:2], two[:2]) > MOVED for one, two in zip(starts, places, strict=True)]
-    moved, others = (np.flatnonzero(np.array(far) == flag).tolist() for flag in (True, False))
-    kind = rng.integers(4)
-    targets: dict[int, tuple[float, float]] = {}
-    if kind == 0 and moved:  # some are at their start
-        some = rng.permutation(moved)[: int(rng.integers(1, len(moved) + 1))].tolist()
-        targets = {index: starts[index][:2] for index in some}
-    elif kind == 1 and moved and others:  # another block has moved instead of one
-        one, other = int(rng.choice(moved)), int(rng.choice(others))
-        targets = {one: starts[one][:2], other: places[one][:2]}
-    elif kind == 2:  # a block is at a random place
-        index = int(rng.integers(len(places)))
-        targets = {index: _place(scene, rng, int(rng.integers(3)))}
-    else:  # blocks of one colour or shape are at places of one kind
-        base, where = (scene, end)[int(rng.integers(2))], int(rng.integers(3))
-        model, attribute = base.blocks[int(rng.integers(len(places)))], ("colour", "shape")[int(rng.integers(2))]
-        same = [k for k, one in enumerate(base.blocks) if getattr(one, attribute) == getattr(model, attribute)]
-        places = [block.pose for block in base.blocks]
-        targets = {index: _place(scene, rng, where) for index in same[: 1 + int(rng.integers(len(same)))]}
-    robot = end.robot.pose
-    if rng.random() < 0.1:
-        robot = (*_place(scene, rng, int(rng.integers(3))), robot[2])
-    return end.moved(robot, [(*targets.get(k, pose[:2]), pose[2]) for k, pose in enumerate(places)])
-
-
-def _place(scene: Scene, rng: np.random.Generator, kind: int) -> tuple[float, float]:
-    """A random position: anywhere, at a wall, or in a region or next to a block."""
-    x, y = rng.uniform(-REACH, REACH, 2).tolist()
-    if kind == 1:
-        side = REACH if rng.random() < 0.5 else -REACH
-        return (side, y) if rng.random() < 0.5 else (x, side)
-    if kind == 2:
-        if scene.regions and rng.random() < 0.6:
-            x0, y0, x1, y1 = scene.regions[int(rng.integers(len(scene.regions)))].box
-            return float(rng.uniform(x0, x1)), float(rng.uniform(y0, y1))
-        block, angle = scene.blocks[int(rng.integers(len(scene.blocks)))], rng.uniform(0, 2 * math.pi)
-        x, y = block.x + 0.3 * math.cos(angle), block.y + 0.3 * math.sin(angle)
-    return max(-REACH, min(REACH, x)), max(-REACH, min(REACH, y))
+    blocks = blocks_of(torch.from_numpy(state))[: len(scene.blocks), 1:3].numpy()
+    return _placed(scene, np.concatenate([blocks, state[None, :2]]))
 
 
 def resting(scenes: Iterable[Scene]) -> NDArray[np.float32]:

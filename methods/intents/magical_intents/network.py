@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import torch
@@ -14,8 +15,16 @@ from magical_mj.observations import FINGERS
 
 SIZE: Final = 64
 HEADS: Final = 4
-NODE: Final = 2 + 2 + 2 + 4 + 4 + 2 + 1 + 3
-EDGE: Final = 10
+SIDES: Final = (0.6, 0.7, 0.8)
+"""Coordinates (units), for features that say whether an object is beyond them, to each side."""
+WAYS: Final = (0.1, 0.2)
+"""The same for the distance that an object moved."""
+GAPS: Final = (0.4, 0.5, 0.7)
+"""The same for distances between objects."""
+STEP: Final = 0.03
+"""These features rise from 0 to 1 within a few times this distance (units)."""
+NODE: Final = 2 + 2 + 2 + 4 + 4 + 2 + 1 + 3 + 4 * len(SIDES) + len(WAYS)
+EDGE: Final = 2 * 5 + 2 + 1 + len(GAPS)
 
 
 class Graph(NamedTuple):
@@ -55,7 +64,9 @@ def graph(initial: Tensor, now: Tensor) -> Graph:
     colours = placed(blocks[..., COLOURS], 0) + placed(regions[..., 5:], count + 1)
     fingers = now[:, None, FINGERS]
     kind = torch.eye(3)[torch.tensor([0] * count + [1] + [2] * regions.shape[1])].expand(len(now), -1, -1)
-    parts = [at, before, at - before, shapes, colours, placed(half, count + 1)]
+    sides = torch.cat([_beyond(at, SIDES), _beyond(-at, SIDES)], 2)
+    ways = _beyond((at - before).norm(dim=2, keepdim=True), WAYS)
+    parts = [at, before, at - before, shapes, colours, placed(half, count + 1), sides, ways]
     nodes = torch.cat([*parts, placed(fingers[..., :1] - fingers[..., 1:], count), kind], 2)
     edges = []
     for positions in (before, at):
@@ -63,53 +74,80 @@ def graph(initial: Tensor, now: Tensor) -> Graph:
         depth = nn.functional.pad(
             (half[:, None] - apart[:, :, count + 1 :].abs()).amin(3).clamp(-0.5, 0.5), (count + 1, 0)
         )
-        edges += [apart, apart.norm(dim=3, keepdim=True), (depth + depth.transpose(1, 2))[..., None]]
+        depth = (depth + depth.transpose(1, 2))[..., None]
+        edges += [apart, apart.norm(dim=3, keepdim=True), depth, _beyond(depth, (0.0,))]
     edges += [(values @ values.transpose(1, 2))[..., None] for values in (colours, shapes)]
     there = torch.ones_like(now[:, :1])
     present = torch.cat([blocks[..., 0], there, regions[..., 0]], 1) > 0
+    gaps = edges[1].masked_fill(~present[:, :, None, None] | torch.eye(k, dtype=torch.bool)[..., None], 9.0)
+    nearest = gaps <= gaps[:, :count].amin(1, keepdim=True)
+    edges += [nearest.float(), _beyond(edges[5], GAPS)]
     return Graph(nodes, torch.cat(edges, 3), present, count)
 
 
-class Layer(nn.Module):
-    """A transformer's layer: attention between rows, and a network for each row."""
+def _beyond(values: Tensor, limits: Sequence[float]) -> Tensor:
+    """Whether values (..., size) are larger than limits, between 0 and 1, shape (..., size * limits)."""
+    return ((values[..., None] - torch.tensor(limits)) / STEP).sigmoid().flatten(-2)
 
-    def __init__(self) -> None:
+
+class Layer(nn.Module):
+    """A transformer's layer: attention between rows, and a network for each row.
+
+    A row receives the values of the rows that it attends to, and the features of the pairs that they form.
+
+    Args:
+        edge: the number of features of a pair; 0 if there are none.
+    """
+
+    def __init__(self, edge: int = 0) -> None:
         super().__init__()
         self.norms = nn.ModuleList(nn.LayerNorm(SIZE) for _ in range(2))
-        self.qkv, self.out = nn.Linear(SIZE, 3 * SIZE), nn.Linear(SIZE, SIZE)
+        self.query, self.keys, self.out = nn.Linear(SIZE, SIZE), nn.Linear(SIZE, 2 * SIZE), nn.Linear(SIZE, SIZE)
+        self.read = nn.Linear(HEADS * edge, SIZE) if edge else None
         self.mlp = nn.Sequential(nn.Linear(SIZE, 2 * SIZE), nn.ReLU(), nn.Linear(2 * SIZE, SIZE))
 
-    def forward(self, rows: Tensor, bias: Tensor) -> Tensor:
-        """New rows (n, k, SIZE). `bias` (n, HEADS, k, k) is added to similarities."""
-        query, key, value = self.qkv(self.norms[0](rows)).chunk(3, 2)
-        rows = rows + self.out(_attended(query, key, value, bias))
+    def forward(self, rows: Tensor, bias: Tensor, edges: Tensor | None = None, told: Tensor | None = None) -> Tensor:
+        """New rows (n, k, SIZE).
+
+        Args:
+            rows: shape (n, k, SIZE).
+            bias: added to similarities, shape (n, HEADS, k, k), or with t more columns.
+            edges: features of pairs, shape (n, k, k, edge).
+            told: t more rows that are attended to, shape (n, t, SIZE).
+        """
+        own = self.norms[0](rows)
+        key, value = self.keys(own if told is None else torch.cat([own, told], 1)).chunk(2, 2)
+        query, key, value = (part.unflatten(2, (HEADS, -1)).transpose(1, 2) for part in (self.query(own), key, value))
+        weights = (query @ key.transpose(2, 3) / math.sqrt(query.shape[3]) + bias).softmax(3)
+        found = self.out((weights @ value).transpose(1, 2).flatten(2))
+        if self.read is not None and edges is not None:
+            found = found + self.read((weights[..., : rows.shape[1]].transpose(1, 2) @ edges).flatten(2))
+        rows = rows + found
         return rows + self.mlp(self.norms[1](rows))
 
 
-def _attended(query: Tensor, key: Tensor, value: Tensor, bias: Tensor) -> Tensor:
-    """Attention of several heads, shape of `query`."""
-    query, key, value = (part.unflatten(2, (HEADS, -1)).transpose(1, 2) for part in (query, key, value))
-    similarity = query @ key.transpose(2, 3) / math.sqrt(query.shape[3]) + bias
-    return (similarity.softmax(3) @ value).transpose(1, 2).flatten(2)
-
-
 class Objects(nn.Module):
-    """Maps graphs to rows (n, k, SIZE) for their nodes, with attention between them."""
+    """Maps graphs to rows (n, k, SIZE) for their nodes, with attention between them, and to what was told."""
 
     def __init__(self, layers: int) -> None:
         super().__init__()
         self.first = nn.Sequential(nn.Linear(NODE, SIZE), nn.ReLU(), nn.Linear(SIZE, SIZE))
         self.pairs = nn.Sequential(nn.Linear(EDGE, 32), nn.ReLU(), nn.Linear(32, layers * HEADS))
-        self.layers = nn.ModuleList(Layer() for _ in range(layers))
+        self.layers, self.norm = nn.ModuleList(Layer(EDGE) for _ in range(layers)), nn.LayerNorm(SIZE)
 
-    def forward(self, seen: Graph) -> Tensor:
-        """The rows of the nodes."""
-        absent = torch.where(seen.present, 0.0, -1e4)[:, None, None]
-        biases = self.pairs(seen.edges).movedim(3, 1).chunk(len(self.layers), 1)
-        rows = self.first(seen.nodes)
-        for layer, bias in zip(self.layers, biases, strict=True):
-            rows = layer(rows, bias + absent)
-        return rows
+    def forward(self, seen: Graph, known: Tensor | None = None, told: Tensor | None = None) -> Tensor:
+        """The rows of the nodes. `known` rows (n, k, SIZE) are added to the first ones.
+
+        All attend to what was told, rows (n, t, SIZE), too. Rows of zeros do not exist.
+        """
+        biases = self.pairs(seen.edges).movedim(3, 1) + torch.where(seen.present, 0.0, -1e4)[:, None, None]
+        if told is not None:
+            absent = torch.where((told != 0).any(2), 0.0, -1e4)[:, None, None]
+            biases = torch.cat([biases, absent.expand(*biases.shape[:3], -1)], 3)
+        rows = self.first(seen.nodes) if known is None else self.first(seen.nodes) + known
+        for layer, bias in zip(self.layers, biases.chunk(len(self.layers), 1), strict=True):
+            rows = layer(rows, bias, seen.edges, told)
+        return self.norm(rows)
 
 
 class Sentences(nn.Module):

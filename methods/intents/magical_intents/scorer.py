@@ -1,76 +1,113 @@
 """The scorer: a network that predicts the score of a final scene, from demonstrations or a sentence.
 
-Each pair of an initial and a final scene is a graph of objects, which attend to each other. A demonstration becomes
-facts, the maxima and means over its objects. The minima, means and maxima of the facts over the demonstrations show
-what is common to all, and what varies. They set the scales of a last layer, which scores final scenes. A sentence sets
-the same scales.
+Scenes are graphs of objects, which attend to each other. In an initial scene they also attend to what was told: the
+words of a sentence, or the objects of all demonstrations. So the network can find the blocks that an intent names. The
+final scene adds the objects' new places, and attention between them; then follows a score.
+
+Demonstrations pass through the same network, with nothing told. The minima, means and maxima of facts about each, over
+the demonstrations, show what is common to all, and what varies. They are told, too.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from magical_intents.network import SIZE, Objects, Sentences, graph
+from magical_mj.intents.intent import MOST_CONJUNCTS
 from magical_mj.learners.networks import maxima
 
-LAYERS: Final = 2
 FACTS: Final = 128
-TOLD: Final = 256
-"""The size of what demonstrations or a sentence tell."""
+COMMON: Final = 4
+"""The number of rows that tell what demonstrations have in common."""
+TOLD: Final = 96
+"""The number of rows that are told. Rows of zeros do not exist, and further objects of demonstrations are left out."""
 HIDDEN: Final = 128
-"""The size of the last layer."""
-SCALES: Final = 4 * HIDDEN + 1
-"""The scales: a factor and an offset of each hidden unit, a weight of its maximum and its mean, and the bias."""
+
+
+class Begun(NamedTuple):
+    """Initial scenes, in which something was told.
+
+    Attributes:
+        states: shape (n, names).
+        rows: of the objects, shape (n, k, SIZE).
+        named: the logits of whether the intent names them, shape (n, k).
+    """
+
+    states: Tensor
+    rows: Tensor
+    named: Tensor
+
+    def repeated(self, times: int) -> Begun:
+        """Each several times, one after the other."""
+        return Begun(*(part.repeat_interleave(times, 0) for part in self))
+
+
+class Scored(NamedTuple):
+    """Logits of the scores (n,) of final scenes, and of the shares (n, MOST_CONJUNCTS) of an intent's relations."""
+
+    scores: Tensor
+    shares: Tensor
 
 
 class Scorer(nn.Module):
-    """Predicts scores of final scenes, as logits. Computes in bfloat16."""
+    """Predicts scores of final scenes, as logits."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.objects, self.norm = Objects(LAYERS), nn.LayerNorm(SIZE)
+        self.starts, self.ends, self.sentences = Objects(3), Objects(2), Sentences()
         self.facts = nn.Linear(SIZE, FACTS)
-        self.common = nn.Sequential(nn.Linear(6 * FACTS, 2 * TOLD), nn.ReLU(), nn.Linear(2 * TOLD, TOLD))
-        self.sentences, self.read = Sentences(), nn.Linear(SIZE, TOLD)
-        self.scales = nn.Sequential(nn.LayerNorm(TOLD), nn.ReLU(), nn.Linear(TOLD, SCALES))
-        self.last = nn.Linear(SIZE, HIDDEN)
+        self.common = nn.Sequential(nn.Linear(9 * FACTS, 2 * HIDDEN), nn.ReLU(), nn.Linear(2 * HIDDEN, COMMON * SIZE))
+        self.named = nn.Linear(SIZE, 1)
+        self.last = nn.Sequential(nn.Linear(5 * SIZE, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, 1 + MOST_CONJUNCTS))
 
-    def forward(self, starts: Tensor, ends: Tensor, scales: Tensor) -> Tensor:
-        """Logits (n,) of pairs of states (n, names), each with its scales (n, SCALES)."""
-        return self.scored(*self.encoded(starts, ends), scales)
-
-    @torch.autocast("cpu", torch.bfloat16)
-    def encoded(self, starts: Tensor, ends: Tensor) -> tuple[Tensor, Tensor]:
-        """Rows (n, k, SIZE) for the objects of pairs of states (n, names), and which exist, shape (n, k)."""
-        seen = graph(starts, ends)
-        return self.norm(self.objects(seen)), seen.present
-
-    @torch.autocast("cpu", torch.bfloat16)
     def shown(self, starts: Tensor, ends: Tensor) -> Tensor:
-        """The scales (n, SCALES) that m demonstrations each set, with states (n, m, names)."""
-        rows, present = self.encoded(starts.flatten(0, 1), ends.flatten(0, 1))
+        """What m demonstrations tell, shape (n, TOLD, SIZE), with states (n, m, names)."""
+        rows, present = self._ended(self.begun(starts.flatten(0, 1)), ends.flatten(0, 1))
         facts = _pooled(self.facts(rows), present).unflatten(0, starts.shape[:2])
-        return self.scales(self.common(torch.cat([facts.amin(1), facts.mean(1), facts.amax(1)], 1))).float()
+        common = self.common(torch.cat([facts.amin(1), facts.mean(1), facts.amax(1)], 1))
+        rows = (rows * present[..., None]).unflatten(0, starts.shape[:2]).flatten(1, 2)
+        return _padded(torch.cat([common.unflatten(1, (COMMON, SIZE)), rows], 1))
 
-    @torch.autocast("cpu", torch.bfloat16)
     def told(self, words: Tensor) -> Tensor:
-        """The scales (n, SCALES) that sentences (n, LENGTH) set."""
+        """What sentences (n, LENGTH) tell, shape (n, TOLD, SIZE)."""
         rows, known = self.sentences(words)
-        mean = (rows * known[..., None]).sum(1) / known.sum(1, keepdim=True)
-        return self.scales(self.read(mean)).float()
+        return _padded(rows * known[..., None])
 
-    @torch.autocast("cpu", torch.bfloat16)
-    def scored(self, rows: Tensor, present: Tensor, scales: Tensor) -> Tensor:
-        """Logits (n,) of encoded pairs, each with its scales (n, SCALES)."""
-        factor, offset, weight, bias = scales.split([HIDDEN, HIDDEN, 2 * HIDDEN, 1], 1)
-        hidden = (self.last(rows) * (1 + factor)[:, None] + offset[:, None]).relu()
-        return (_pooled(hidden, present) * weight).sum(1) / HIDDEN**0.5 + bias[:, 0]
+    def begun(self, states: Tensor, told: Tensor | None = None) -> Begun:
+        """Initial scenes (n, names), in which something (n, TOLD, SIZE) or nothing was told."""
+        if told is not None:
+            told = told[:, : int((told != 0).any(2).any(0).nonzero().max()) + 1]
+        rows = self.starts(graph(states, states), told=told)
+        return Begun(states, rows, self.named(rows)[..., 0])
+
+    def scored(self, begun: Begun, ends: Tensor) -> Scored:
+        """The logits of final scenes (n, names)."""
+        rows, present = self._ended(begun, ends)
+        named = begun.named.sigmoid() * present
+        means = [_mean(rows, weights) for weights in (named, present - named)]
+        scores, shares = self.last(torch.cat([_pooled(rows, present), *means], 1)).split([1, MOST_CONJUNCTS], 1)
+        return Scored(scores[:, 0], shares)
+
+    def _ended(self, begun: Begun, ends: Tensor) -> tuple[Tensor, Tensor]:
+        """The rows of objects in final scenes, and which exist, as 0 and 1."""
+        seen = graph(begun.states, ends)
+        return self.ends(seen, begun.rows), seen.present.float()
+
+
+def _padded(rows: Tensor) -> Tensor:
+    return pad(rows[:, :TOLD], (0, 0, 0, max(0, TOLD - rows.shape[1])))
 
 
 def _pooled(rows: Tensor, present: Tensor) -> Tensor:
-    """The maxima and the means over the rows that exist, shape (n, 2 size)."""
-    there = present[..., None]
-    return torch.cat([maxima(rows, present), (rows * there).sum(1) / there.sum(1)], 1).float()
+    """The minima, the means and the maxima over the rows that exist, shape (n, 3 size)."""
+    there = present > 0
+    return torch.cat([maxima(rows, there), -maxima(-rows, there), _mean(rows, present)], 1)
+
+
+def _mean(rows: Tensor, weights: Tensor) -> Tensor:
+    """The weighted means of rows (n, k, size), shape (n, size)."""
+    return (rows * weights[..., None]).sum(1) / (weights.sum(1, keepdim=True) + 0.01)

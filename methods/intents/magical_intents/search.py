@@ -7,7 +7,7 @@ block. None depends on the language of intents.
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import torch
@@ -39,37 +39,27 @@ INNER: Final = np.stack(np.meshgrid(*2 * [np.linspace(0.1, 0.9, 7)]), -1).reshap
 Floats = NDArray[np.float32]
 
 
-class Option(NamedTuple):
-    """A final state, and the row of the episode that it belongs to."""
-
-    row: int
-    end: Tensor
-
-
 @torch.inference_mode()
-def searched(scorer: Scorer, scales: Tensor, initial: Tensor) -> Tensor:
+def searched(scorer: Scorer, told: Tensor, initial: Tensor) -> Tensor:
     """The final states (n, names) that are found from initial states (n, names).
 
     Args:
         scorer: the network.
-        scales: what demonstrations or a sentence of each episode set, shape (n, SCALES).
+        told: what demonstrations or a sentence of each episode tell, shape (n, TOLD).
         initial: the states.
     """
-    now, active = initial.clone(), list(range(len(initial)))
-    best = scorer(initial, now, scales)
+    return torch.stack([_searched(scorer, *each) for each in zip(told, initial, strict=True)])
+
+
+def _searched(scorer: Scorer, told: Tensor, initial: Tensor) -> Tensor:
+    begun, now = scorer.begun(initial[None], told[None]), initial
+    best = scorer.scored(begun, now[None]).scores
     for _ in range(MOST_MOVES):
-        found = [Option(row, end) for row in active for end in options(now[row])]
-        if not found:
+        ends = torch.stack([now, *options(now)])
+        score, chosen = scorer.scored(begun.repeated(len(ends)), ends).scores.max(0)
+        if score <= best + LEAST_GAIN:
             break
-        rows, ends = torch.tensor([one.row for one in found]), torch.stack([one.end for one in found])
-        scores = scorer(initial[rows], ends, scales[rows])
-        for row in list(active):
-            own = torch.nonzero(rows == row)[:, 0]
-            chosen = own[scores[own].argmax()] if len(own) else None
-            if chosen is not None and scores[chosen] > best[row] + LEAST_GAIN:
-                best[row], now[row] = scores[chosen], ends[chosen]
-            else:
-                active.remove(row)
+        best, now = score, ends[chosen]
     return now
 
 
@@ -80,7 +70,7 @@ def options(state: Tensor) -> list[Tensor]:
     positions = torch.cat([blocks[:count, 1:3], state[None, :2]]).numpy()
     boxes = regions_of(state)[regions_of(state)[:, 0] > 0, 1:5].numpy()
     for number in range(count + 1):
-        for place in _places(positions, number, boxes):
+        for place in places(positions, number, boxes):
             end = state.clone()
             target = blocks_of(end)[number, 1:3] if number < count else end[:2]
             target.copy_(torch.from_numpy(place))
@@ -88,7 +78,7 @@ def options(state: Tensor) -> list[Tensor]:
     return found
 
 
-def _places(positions: Floats, number: int, boxes: Floats) -> list[Floats]:
+def places(positions: Floats, number: int, boxes: Floats) -> list[Floats]:
     """The places of one object, with the positions of all blocks and, last, the robot, and with the regions' boxes."""
     is_robot, own = number == len(positions) - 1, positions[number]
     every = np.concatenate([_ANYWHERE, *(box[:2] + INNER * (box[2:] - box[:2]) for box in boxes)])
