@@ -19,12 +19,11 @@ from magical_mj.tasks.registry import task_name, task_spec
 from magical_mj.utils.errors import IntentError
 from tests.helpers.commands import Shell
 from tests.helpers.evaluations import TEMPLATE
-from tools.intent_baselines import EPISODES
+from tools.intent_baselines import BASELINES, EPISODES
 from tools.pages import ROOT
 from tools.stored_episodes import stored
 
 TASK = "intent:in(colour=red, region)"
-INFERRED = ("goals-4-contrasting", "goals-1")
 
 
 @pytest.fixture(scope="module")
@@ -83,8 +82,8 @@ def test_a_report_has_a_page_of_sets(played: Path, tmp_path: Path, shell: Shell)
 
 def test_findings_about_baselines_are_those_of_the_episodes() -> None:
     page = " ".join((ROOT / "docs" / "intents-evaluation.md").read_text("utf-8").split())
-    episodes, names = stored(EPISODES), ("expert", "circling", "random", *INFERRED)
-    every = {name: [one for one in episodes if one.policy == name] for name in names}
+    episodes = stored(EPISODES)
+    every = {name: [one for one in episodes if one.policy == name] for name in BASELINES}
 
     def cell(name: str, measure: str, weight: float = 1.0) -> Cell:
         tasks = sorted({one.task for one in every[name]})
@@ -97,12 +96,26 @@ def test_findings_about_baselines_are_those_of_the_episodes() -> None:
         value, low, high = estimate([cell(name, "success")])
         assert value == 0.0
         assert f"each solve 0 of {len(every[name])} episodes ({low:.2f} to {high:.2f})" in page
-    several, one = INFERRED
-    more = "{:.2f} ({:.2f} to {:.2f})".format(*estimate([cell(several, "score"), cell(one, "score", -1.0)]))
-    assert f"higher by {more} from four contrasting scenes than from one" in page
+
+    def more(name: str, other: str, measure: str = "score") -> str:
+        """The difference of two baselines."""
+        pair = estimate([cell(name, measure), cell(other, measure, -1.0)])
+        return "{:.2f} ({:.2f} to {:.2f})".format(*pair)
+
+    several, one = (f"{{}}-{kind}" for kind in ("4-contrasting", "1"))
+    kinds = ("goals", "pictures", "demonstrations-policy")
+    gains = {kind: more(several.format(kind), one.format(kind)) for kind in kinds}
+    assert f"higher by {gains['goals']} from four contrasting scenes than from one" in page
+    best, states = several.format("pictures"), several.format("inference")
+    solved = sum(one.score == 1.0 for one in every[best])
+    assert f"it solves {solved} of {len(every[best])} episodes" in page
+    assert f"more than from one scene, by {gains['pictures']}" in page
+    assert f"moving all blocks does, by {more(best, 'all-blocks')}" in page
+    assert f"From states the score is higher by {more(states, best)}" in page
+    assert f"the first has success in {more(states, several.format('goals'), 'success')} more" in page
     learnt = [one for one in episodes if "-policy" in one.policy]
-    assert max(one.score for one in learnt) < 1.0
-    assert f"solve none of {len(learnt)} episodes" in page
+    assert f"solve {sum(one.score == 1.0 for one in learnt)} of {len(learnt)} episodes" in page
+    assert f"four contrasting scenes than from one: by {gains['demonstrations-policy']}" in page
 
 
 def test_members_of_sets_with_other_demo_scenes_are_in_their_set() -> None:
