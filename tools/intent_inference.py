@@ -21,8 +21,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
-from magical_goals.inference import infer
-from magical_goals.policy import SHOWN, chosen
+from magical_goals.inference import best_intent, infer
 from magical_intents.ends import Judged, after, judged_in, resting, simple_rivals
 from magical_intents.lessons import MOST_SHOWN
 from magical_intents.policy import POLICY
@@ -79,12 +78,12 @@ def test_scenes(task: Task) -> list[Scene]:
 
 def found(task: Task) -> Found:
     """What inference finds from a demonstration in each demo scene of a task."""
-    goals = infer(shown(task))[:SHOWN]
+    goals = infer(shown(task))
     inferred, scenes = goals[0].intent.conjuncts, test_scenes(task)
     asked = [one for one in task.intent.conjuncts if one.selector != REST]
     return Found(
         float(np.mean([one in inferred for one in asked])),
-        float(np.mean([_solves(chosen(goals, scene), task.intent, scene) for scene in scenes])),
+        float(np.mean([_solves(best_intent(goals, scene), task.intent, scene) for scene in scenes])),
     )
 
 

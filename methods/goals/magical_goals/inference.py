@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from magical_mj.intents import Intent, rivals
 from magical_mj.intents.ambiguity import Ends, Judge
 from magical_mj.intents.intent import MOST_CONJUNCTS, conjunct_bits, intent_of
-from magical_mj.intents.plans import plan
+from magical_mj.intents.plans import plan, solved
 from magical_mj.intents.relations import Conjunct
 from magical_mj.intents.selectors import REST
 from magical_mj.scene import Scene
@@ -37,6 +37,8 @@ PLANS: Final = 2
 """The number of plans in each scene, for estimating how likely another relation holds without being a goal."""
 SAMPLES: Final = 50
 """The number of random ends of each demonstration, for estimating how likely an intent holds by chance."""
+COMPARED: Final = 40
+"""The number of the most probable intents whose plans are compared in a scene."""
 MOVED: Final = 0.05
 """A block or the robot counts as moved if it is farther (units) from its start."""
 
@@ -78,6 +80,26 @@ def infer(ends: Sequence[Ends]) -> list[Goal]:
         longest = [longer for goal in best for longer in _extended(goal, parts, scenes, rng)]
         goals |= {goal.intent: goal for goal in longest}
     return sorted(goals.values(), key=_order)
+
+
+def best_intent(goals: Sequence[Goal], scene: Scene) -> Intent | None:
+    """The intent to pursue in a scene: that whose plan has the largest expected score.
+
+    The expectation is over the most probable intents that apply to objects in the scene and do not hold yet. Their
+    saved bits give their posterior probabilities. A plan for several relations often satisfies the simpler intents as
+    well, so it is a good choice while it is not clear which of them is meant. If none has a plan, it is None.
+
+    Args:
+        goals: the result of `infer`.
+        scene: the initial scene.
+    """
+    possible = [one for one in goals if one.intent.grounded(scene) and not one.intent.holds(scene, scene)][:COMPARED]
+    ends = {end: one.intent for one in reversed(possible) if (end := solved(one.intent, scene))}
+    if not ends:
+        return None
+    weights = np.exp2([one.saved - possible[0].saved for one in possible])
+    scores = [[one.intent.score(scene, end) for end in ends] for one in possible]
+    return list(ends.values())[int((weights @ np.array(scores)).argmax())]
 
 
 def _order(goal: Goal) -> tuple[float, float, str]:

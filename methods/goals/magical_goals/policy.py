@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from magical_goals.inference import Goal, infer
+from magical_goals.inference import Goal, best_intent, infer
 from magical_mj.engine import Engine
 from magical_mj.experts.driving import Lookahead
 from magical_mj.experts.planner import PlanFollower, Planner
@@ -26,8 +26,8 @@ BUDGET: Final = 16  # simulated steps per step of the episode; after them, no ne
 
 GOALS: Final = "goals.json"
 """The policy's file in a run's folder."""
-SHOWN: Final = 20
-"""The number of intents that are kept for each task: the best one may be undefined in a scene."""
+SHOWN: Final = 60
+"""The number of intents that are kept for each task: some may be undefined in a scene, and others are compared."""
 
 
 class GoalPolicy:
@@ -87,23 +87,15 @@ class InferredGoal:
 
 
 def follower(goals: Sequence[Goal], episode: Episode) -> Callable[[], int]:
-    """A function that returns the next action towards the `chosen` intent, or no-ops if there is none."""
+    """A function that returns the next action towards the `best_intent`, or no-ops if there is none."""
     env = episode.env
     if env is None or env.horizon is None:
         raise SettingsError("a planning policy needs the simulation itself and cannot play in vector environments")
     initial = env.initial_scene
-    intent = chosen(goals, initial)
+    intent = best_intent(goals, initial)
     if intent is None:
         return lambda: NOOP
     return PlanFollower(env, env.horizon, partial(_planner, intent, initial, env), episode.rng, BUDGET)
-
-
-def chosen(goals: Sequence[Goal], initial: Scene) -> Intent | None:
-    """The first intent that applies to objects in a scene and does not hold yet, if any."""
-    for goal in goals:
-        if goal.intent.grounded(initial) and not goal.intent.holds(initial, initial):
-            return goal.intent
-    return None
 
 
 def _planner(intent: Intent, initial: Scene, env: Engine) -> Planner:

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from magical_goals.inference import Goal, infer
-from magical_goals.policy import GOALS, GoalPolicy, InferredGoal, chosen, from_json, load_goals, to_json
+from magical_goals.inference import Goal, best_intent, infer
+from magical_goals.policy import GOALS, GoalPolicy, InferredGoal, from_json, load_goals, to_json
 
 import magical_mj
 from magical_mj import Block, GoalRegion, Robot, Scene, demos
@@ -110,11 +110,23 @@ def test_demonstrations_that_show_nothing_are_refused() -> None:
         infer([(scene, scene)] * 10)
 
 
-def test_where_an_intent_means_nothing_the_next_one_is_pursued() -> None:
+def test_an_intent_that_means_nothing_or_holds_in_a_scene_is_not_pursued() -> None:
     goals = [Goal(parse(text), 1.0) for text in ("in(shape=star, region)", "out(all)", "wall(all, left)")]
-    assert chosen(goals, scene_of("red star", "green circle")) == goals[0].intent
-    assert chosen(goals, scene_of("red square", "green circle")) == goals[2].intent  # all blocks are outside already
-    assert chosen(goals[:2], scene_of("red square", "green circle")) is None
+    scene = scene_of("red square", "green circle")  # no block is in a region
+    assert best_intent(goals[:2], scene_of("red star", "green circle")) == goals[0].intent
+    assert best_intent(goals, scene) == goals[2].intent
+    assert best_intent(goals[:2], scene) is None
+
+
+def test_the_plan_with_the_largest_expected_score_is_pursued() -> None:
+    one, both, other = map(
+        parse,
+        ("wall(colour=red, right)", "wall(colour=red, right) & wall(colour=blue, bottom)", "wall(colour=blue, bottom)"),
+    )
+    scene = scene_of("red square", "blue circle")
+    assert best_intent([Goal(one, 1.0), Goal(both, 0.9)], scene) == both
+    assert best_intent([Goal(one, 1.0), Goal(other, 0.9)], scene) == one
+    assert best_intent([Goal(one, 9.0), Goal(other, 1.0)], scene) == one
 
 
 def test_goals_survive_their_file(tmp_path: Path) -> None:

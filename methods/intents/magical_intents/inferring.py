@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 import torch
-from magical_goals.inference import Goal, infer
+from magical_goals.inference import Goal, best_intent, infer
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -21,7 +21,7 @@ from magical_intents.scenes import ROBOT, scene_of
 from magical_intents.sight import Sight
 from magical_intents.skill import Skill
 from magical_mj.intents import Intent
-from magical_mj.intents.plans import plan, solved
+from magical_mj.intents.plans import plan
 from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import COLOURS, SHAPES, blocks_of
 from magical_mj.learners.settings import STATE
@@ -36,8 +36,6 @@ from magical_mj.utils.errors import TrainingError
 POLICY: Final = "inferring.safetensors"
 PICTURES: Final = "LoRes4A"
 """The preset of pictures. The newest of the four is used."""
-COMPARED: Final = 40
-"""The number of the most probable intents whose plans are compared."""
 ROBOT_ENTRIES: Final = FINGERS.stop
 """The number of the robot's entries in a state, which are the first ones."""
 MISTAKEN: Final = 0.15
@@ -136,21 +134,6 @@ def inferred(ends: tuple[tuple[Scene, Scene], ...]) -> list[Goal]:
         return infer(ends)
     except TrainingError:
         return []
-
-
-def best_intent(goals: list[Goal], scene: Scene) -> Intent | None:
-    """The intent whose plan has the largest expected score, among the most probable ones; None if none has a plan.
-
-    The saved bits of intents give their posterior probabilities. A plan for several relations often satisfies the
-    simpler intents as well, so it is a good choice while it is not clear which of them is meant.
-    """
-    possible = [one for one in goals if one.intent.grounded(scene) and not one.intent.holds(scene, scene)][:COMPARED]
-    ends = {end: one.intent for one in reversed(possible) if (end := solved(one.intent, scene))}
-    if not ends:
-        return None
-    weights = np.exp2([one.saved - possible[0].saved for one in possible])
-    scores = [[one.intent.score(scene, end) for end in ends] for one in possible]
-    return list(ends.values())[int((weights @ np.array(scores)).argmax())]
 
 
 def places_after(intent: Intent | None, initial: Scene, now: Scene) -> Tensor:

@@ -30,7 +30,6 @@ from magical_intents.train import train, write_policies
 
 import magical_mj
 from magical_mj.intents import parse
-from magical_mj.intents.plans import solved
 from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import blocks_of, regions_of
 from magical_mj.observations import FINGERS
@@ -279,20 +278,6 @@ def test_places_are_those_of_the_inferred_intent() -> None:
     driven = inferring.places_after(parse("robot wall(left)"), scene, scene)
     assert torch.equal(stays[:ROBOT].nan_to_num(), driven[:ROBOT].nan_to_num())
     assert driven[ROBOT][0] < -0.5
-
-
-def test_the_plan_with_the_largest_expected_score_is_chosen() -> None:
-    one, both = parse("wall(colour=red, left)"), parse("wall(colour=red, left) & wall(colour=blue, right)")
-    scene = next(
-        scene
-        for seed in range(100)
-        if both.grounded(scene := magical_mj.sample_scene("ClusterColour", "All", seed))
-        and not one.holds(scene, scene)
-        and solved(both, scene)
-    )
-    assert inferring.best_intent([inferring.Goal(one, 1.0), inferring.Goal(both, 0.9)], scene) == both
-    assert inferring.best_intent([inferring.Goal(one, 1.0)], scene) == one
-    assert inferring.best_intent([], scene) is None
 
 
 def test_turned_pictures_are_those_of_changed_scenes(seen: list[View]) -> None:
