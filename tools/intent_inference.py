@@ -5,7 +5,7 @@
                                                     another table, of all these files
 
 It needs the packages in methods/goals and methods/intents. Plans replace demonstrations and episodes: inference depends
-on initial and final scenes only, and the final scenes that policies search for are reached. The first takes five
+on initial and final scenes only, and the final scenes that policies search for are reached. The first takes ten
 minutes of a core, the second four for each training.
 """
 
