@@ -10,7 +10,7 @@ import json
 import lzma
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain
 from operator import attrgetter
 from pathlib import Path
@@ -131,8 +131,7 @@ class Columns(Struct, forbid_unknown_fields=True):
     """The episodes: field -> environment -> a value for each, in the same order in all fields.
 
     An environment has a name such as "FindDupe-All", in the shift track "FindDupe-Demo camera:3", and for intents
-    "intent:line(all)-All". The format is by
-    column because values of one kind compress best next to each other.
+    "intent:line(all)-All". The format is by column because values of one kind compress best next to each other.
     """
 
     run: dict[str, list[Natural]]
@@ -308,18 +307,25 @@ def read_entry(path: Path | str) -> Entry:
     episodes = [row for entry in parts.values() for row in entry.episodes]
     played_in = sorted({name for entry in parts.values() for name in entry.played_in})
     other_tasks = sorted({task for entry in parts.values() for task in entry.other_tasks})
-    recorded = _joined([entry.recorded for entry in parts.values()])
+    recorded = _joined(parts)
     return Entry(card, observations, rules, protocol, versions, episodes, played_in, other_tasks, recorded)
 
 
-def _joined(parts: Sequence[Recorded]) -> Recorded:
-    times = [part.milliseconds for part in parts if part.milliseconds is not None]
+def _joined(parts: Mapping[Path, Entry]) -> Recorded:
+    recorded = [entry.recorded for entry in parts.values()]
+    times = [part.milliseconds for part in recorded if part.milliseconds is not None]
     return Recorded(
-        sorted({use for part in parts for use in part.uses}),
-        sorted({kind for part in parts for kind in part.loaded}),
+        sorted({use for part in recorded for use in part.uses}),
+        sorted({kind for part in recorded for kind in part.loaded}),
         sum(times) / len(times) if times else None,
-        common("descriptions of intents", ((part.given, "the entry") for part in parts)),
+        given_with_intents((row, part) for part, entry in parts.items() for row in entry.episodes),
     )
+
+
+def given_with_intents(sources: Iterable[tuple[EpisodeResult, object]]) -> str:
+    """What the policy received in episodes of intents, which must be the same in all. Each comes with its source."""
+    given = [(row.given, source) for row, source in sources if row.task.startswith(PREFIX)]
+    return common("descriptions of intents", given) if given else ""
 
 
 def _content(path: Path, most: int) -> bytes:

@@ -20,12 +20,12 @@ from magical_mj.leaderboard.entry import (
     Recorded,
     Versions,
     common,
+    given_with_intents,
     packed,
     unpacked,
 )
 from magical_mj.leaderboard.places import in_track, places
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.tasks.languages import in_language
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, SettingsError, check_name
 
@@ -92,7 +92,6 @@ def submit(
         _check_episode(episode, folder, new_card)
     episodes = [episode for episode, _ in own]
     uses = sorted({use for row in learnt for use in row.uses})
-    given = [(episode.given, folder) for episode, folder in own if in_language(episode.task)]
     steps = sum(episode.steps for episode in episodes)
     seconds = math.fsum(episode.seconds for episode in episodes)  # exact, so that the order does not matter
     entry = Entry(
@@ -108,7 +107,7 @@ def submit(
             uses,
             sorted({row.loaded for row in learnt} - {""}),
             round(1000 * seconds / steps, 2) if uses and steps else None,
-            common("descriptions of intents", given) if given else "",
+            given_with_intents(own),
         ),
     )
     if problem := entry.undeclared:

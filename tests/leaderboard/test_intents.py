@@ -72,6 +72,18 @@ def test_only_the_test_sets_have_a_place(entries: dict[str, Entry], tmp_path: Pa
         unpacked(packed(structs.replace(entries["reader"], episodes=[other])))
 
 
+def test_an_entry_may_hold_intents_in_one_file_and_tasks_in_another(folder: Path, tmp_path: Path) -> None:
+    evaluate(Reader(), out=tmp_path / "tasks", tasks="MoveToRegion", variants="Demo", episodes=1)
+    out = tmp_path / "entry"
+    submit([folder / "reader"], out / "intents.json.xz")
+    submit([tmp_path / "tasks"], out / "tasks.json.xz")
+    (out / "card.toml").write_text('method = "Reader"\n')
+    entry = read_entry(out)
+    assert (len(entry.episodes), entry.recorded.given) == (13, "instruction")
+    submit([folder / "reader", tmp_path / "tasks"], tmp_path / "both.json.xz")
+    assert read_entry(tmp_path / "both.json.xz").recorded.given == "instruction"
+
+
 def test_intents_are_not_played_again(entries: dict[str, Entry]) -> None:
     with pytest.raises(EvaluationError, match="Reader has only intents, which are not played again"):
         rerun(entries["reader"], [], first_seed=0)
