@@ -154,12 +154,12 @@ def reached(scorer: Scorer, task: Task) -> Iterator[Reached]:
     """What a scorer reaches, given the sentence, and given a demonstration in each demo scene of a task."""
     intent, scenes = task.intent, asked_scenes(task)
     initial = torch.from_numpy(resting(scenes))
-    told = {"the sentence": scorer.told(torch.from_numpy(words_of(intent.sentence))[None])}
+    contexts = {"the sentence": scorer.read(torch.from_numpy(words_of(intent.sentence))[None])}
     for kind, settings in KINDS.items():
         pairs = four_shown(replace(task, **settings))
         ends = (torch.from_numpy(resting(each))[None] for each in zip(*pairs, strict=True))
-        told[f"demonstrations in {kind}"] = scorer.shown(*ends)
-    for given, each in told.items():
+        contexts[f"demonstrations in {kind}"] = scorer.shown(*ends)
+    for given, each in contexts.items():
         ends = searched(scorer, each.expand(len(scenes), -1, -1), initial).numpy()
         pairs = [(scene, after(scene, end)) for scene, end in zip(scenes, ends, strict=True)]
         found = (
@@ -169,11 +169,11 @@ def reached(scorer: Scorer, task: Task) -> Iterator[Reached]:
         yield Reached(given, str(task), *(float(np.mean(values)) for values in found))
 
 
-def choice(scorer: Scorer, told: Tensor, asked: Judged) -> bool:
+def choice(scorer: Scorer, context: Tensor, asked: Judged) -> bool:
     """Whether a scorer prefers the end of the intent's cheapest plan to all ends that do not reach it."""
     ends = torch.from_numpy(np.concatenate([asked.ends[:1], asked.ends[asked.scores < 1.0]]))
-    begun = scorer.begun(torch.from_numpy(asked.start)[None], told)
-    return int(scorer.scored(begun.repeated(len(ends)), ends).scores.argmax()) == 0
+    encoded = scorer.encoded(torch.from_numpy(asked.start)[None], context)
+    return int(scorer.scored(encoded.repeated(len(ends)), ends).scores.argmax()) == 0
 
 
 def measure(out: Path) -> None:

@@ -61,13 +61,12 @@ class Carrier:
         gaps = (positions - self._places).norm(dim=1).nan_to_num(0.0)
         if not self._continues(positions, gaps):
             self.brought, self._steps = self._next(positions, gaps), 0
+            if self.brought == NOTHING:
+                return NOOP
             self._tried[self.brought] += 1
             self._poses.clear()
-            self._guide = Guide(
-                self.brought, (float(self._places[self.brought, 0]), float(self._places[self.brought, 1]))
-            )
-        if self.brought == NOTHING:
-            return NOOP
+            x, y = self._places[self.brought].tolist()
+            self._guide = Guide(self.brought, (x, y))
         via = torch.tensor([self._guide(state.numpy())])
         self._steps += 1
         if len(self._poses) == STUCK and bool(((self._poses[0] - state[:3]).abs() < MOTION).all()):

@@ -14,7 +14,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits as chance
 from torch.nn.functional import softplus
 
 from magical_intents.ends import RIGHT, Judged, judged
-from magical_intents.scorer import Begun, Scored, Scorer
+from magical_intents.scorer import Encoded, Scored, Scorer
 from magical_intents.symmetries import changed, drawn, renamed, words_of
 from magical_mj.intents import Intent
 from magical_mj.learners import checkpoint
@@ -28,7 +28,7 @@ SENTENCES: Final = 24
 MOST_SHOWN: Final = 4
 """The largest number of demonstrations."""
 REPEATED: Final = 0.25
-"""The share of batches in which all demonstrations of an intent are in one scene."""
+"""The share of batches whose intents each have all demonstrations in one scene."""
 ENDS: Final = 6
 """The number of final scenes for each intent, in an initial scene that is not demonstrated. The first is right."""
 ORDER, PARTS = 0.5, 1.0
@@ -115,21 +115,21 @@ def batch(data: Sequence[Lesson], rng: np.random.Generator, *, symmetries: bool 
     return Batch((before, after), torch.from_numpy(words), start[:, 0], ends, scores, shares, named)
 
 
-def scored_in(network: Scorer, seen: Batch) -> tuple[Begun, Scored]:
+def scored_in(network: Scorer, seen: Batch) -> tuple[Encoded, Scored]:
     """A batch's scenes. The network reads the sentences of the first `SENTENCES` intents, not of the others."""
     shown = network.shown(*(part[SENTENCES:] for part in seen.shown))
-    begun = network.begun(seen.start, torch.cat([network.told(seen.words[:SENTENCES]), shown]))
-    return begun, network.scored(begun.repeated(ENDS), seen.ends.flatten(0, 1))
+    encoded = network.encoded(seen.start, torch.cat([network.read(seen.words[:SENTENCES]), shown]))
+    return encoded, network.scored(encoded.repeated(ENDS), seen.ends.flatten(0, 1))
 
 
 def scorer_loss(network: Scorer, data: Sequence[Lesson], rng: np.random.Generator) -> Tensor:
     """The cross-entropies of scores, their order, the relations' shares, and the named blocks."""
     seen = batch(data, rng)
-    begun, scored = scored_in(network, seen)
+    encoded, scored = scored_in(network, seen)
     scores, shares = (part.unflatten(0, (-1, ENDS)) for part in scored)
     better = seen.scores[:, :, None] > seen.scores[:, None] + SAME
     wrong = softplus(scores[:, None] - scores[:, :, None]) * better
     order = (wrong.sum((1, 2)) / better.sum((1, 2)).clamp(min=1)).mean()
     known, count = seen.shares >= 0, int(blocks_of(seen.start)[..., 0].sum(1).max())
-    parts = chance(shares[known], seen.shares[known]) + chance(begun.named[:, :count], seen.named[:, :count])
+    parts = chance(shares[known], seen.shares[known]) + chance(encoded.named[:, :count], seen.named[:, :count])
     return chance(scores, seen.scores) + ORDER * order + PARTS * parts

@@ -106,17 +106,17 @@ class Layer(nn.Module):
         self.read = nn.Linear(HEADS * edge, SIZE) if edge else None
         self.mlp = nn.Sequential(nn.Linear(SIZE, 2 * SIZE), nn.ReLU(), nn.Linear(2 * SIZE, SIZE))
 
-    def forward(self, rows: Tensor, bias: Tensor, edges: Tensor | None = None, told: Tensor | None = None) -> Tensor:
+    def forward(self, rows: Tensor, bias: Tensor, edges: Tensor | None = None, context: Tensor | None = None) -> Tensor:
         """New rows (n, k, SIZE).
 
         Args:
             rows: shape (n, k, SIZE).
             bias: added to similarities, shape (n, HEADS, k, k), or with t more columns.
             edges: features of pairs, shape (n, k, k, edge).
-            told: t more rows that are attended to, shape (n, t, SIZE).
+            context: t more rows that are attended to, shape (n, t, SIZE).
         """
         own = self.norms[0](rows)
-        key, value = self.keys(own if told is None else torch.cat([own, told], 1)).chunk(2, 2)
+        key, value = self.keys(own if context is None else torch.cat([own, context], 1)).chunk(2, 2)
         query, key, value = (part.unflatten(2, (HEADS, -1)).transpose(1, 2) for part in (self.query(own), key, value))
         weights = (query @ key.transpose(2, 3) / math.sqrt(query.shape[3]) + bias).softmax(3)
         found = self.out((weights @ value).transpose(1, 2).flatten(2))
@@ -127,7 +127,7 @@ class Layer(nn.Module):
 
 
 class Objects(nn.Module):
-    """Maps graphs to rows (n, k, SIZE) for their nodes, with attention between them, and to what was told."""
+    """Maps graphs to rows (n, k, SIZE) for their nodes, with attention between them, and to a context."""
 
     def __init__(self, layers: int) -> None:
         super().__init__()
@@ -135,18 +135,18 @@ class Objects(nn.Module):
         self.pairs = nn.Sequential(nn.Linear(EDGE, 32), nn.ReLU(), nn.Linear(32, layers * HEADS))
         self.layers, self.norm = nn.ModuleList(Layer(EDGE) for _ in range(layers)), nn.LayerNorm(SIZE)
 
-    def forward(self, seen: Graph, known: Tensor | None = None, told: Tensor | None = None) -> Tensor:
+    def forward(self, seen: Graph, known: Tensor | None = None, context: Tensor | None = None) -> Tensor:
         """The rows of the nodes. `known` rows (n, k, SIZE) are added to the first ones.
 
-        All attend to what was told, rows (n, t, SIZE), too. Rows of zeros do not exist.
+        All attend also to the rows (n, t, SIZE) of the context, of which rows of zeros do not exist.
         """
         biases = self.pairs(seen.edges).movedim(3, 1) + torch.where(seen.present, 0.0, -1e4)[:, None, None]
-        if told is not None:
-            absent = torch.where((told != 0).any(2), 0.0, -1e4)[:, None, None]
+        if context is not None:
+            absent = torch.where((context != 0).any(2), 0.0, -1e4)[:, None, None]
             biases = torch.cat([biases, absent.expand(*biases.shape[:3], -1)], 3)
         rows = self.first(seen.nodes) if known is None else self.first(seen.nodes) + known
         for layer, bias in zip(self.layers, biases.chunk(len(self.layers), 1), strict=True):
-            rows = layer(rows, bias, seen.edges, told)
+            rows = layer(rows, bias, seen.edges, context)
         return self.norm(rows)
 
 

@@ -46,12 +46,12 @@ class ConditionedPolicy:
     def reset(self, episode: Episode) -> None:
         """Begins an episode."""
         with torch_settings(1), torch.inference_mode():
-            self._scales = self._told(episode)
+            self._context = self._context_of(episode)
         self._rng, self._carrier = episode.rng(), None
 
-    def _told(self, episode: Episode) -> Tensor:
+    def _context_of(self, episode: Episode) -> Tensor:
         if self.uses_instruction:
-            return self.scorer.told(torch.from_numpy(words_of(episode.instruction))[None])
+            return self.scorer.read(torch.from_numpy(words_of(episode.instruction))[None])
         pairs = np.stack([np.asarray(demo.observations)[[0, -1]] for demo in episode.demonstrations])
         starts, ends = torch.from_numpy(pairs)[None].unbind(2)
         return self.scorer.shown(starts, ends)
@@ -61,7 +61,7 @@ class ConditionedPolicy:
         now = torch.from_numpy(observation)
         if self._carrier is None:
             with torch_settings(1):
-                (end,) = searched(self.scorer, self._scales, now[None])
+                (end,) = searched(self.scorer, self._context, now[None])
             places = positions_of(end)
             if torch.equal(end[:2], now[:2]):  # the robot need not return
                 places[ROBOT] = math.nan

@@ -41,7 +41,7 @@ LIMIT: Final = 90
 DRIVES: Final = 0.15
 """The share of places that are for the robot."""
 TOLERANCE: Final = {True: 0.03, False: 0.06}
-"""The distance from the place (units) at which the robot, or a block, has arrived."""
+"""The robot, or a block, has arrived if it is nearer to the place (units)."""
 STIRRED: Final = 0.1
 """A manoeuvre that moves another block farther (units) is not used."""
 FIRST_STEPS: Final = 60
@@ -55,7 +55,7 @@ Acts = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
 
 
 class Steps(NamedTuple):
-    """The steps in which an object was brought.
+    """The steps of bringing an object.
 
     Attributes:
         states: before each action, shape (steps, names).

@@ -40,23 +40,23 @@ Floats = NDArray[np.float32]
 
 
 @torch.inference_mode()
-def searched(scorer: Scorer, told: Tensor, initial: Tensor) -> Tensor:
+def searched(scorer: Scorer, context: Tensor, initial: Tensor) -> Tensor:
     """The final states (n, names) that are found from initial states (n, names).
 
     Args:
         scorer: the network.
-        told: what demonstrations or a sentence of each episode tell, shape (n, TOLD).
+        context: the context of each episode, of demonstrations or a sentence, shape (n, CONTEXT, SIZE).
         initial: the states.
     """
-    return torch.stack([_searched(scorer, *each) for each in zip(told, initial, strict=True)])
+    return torch.stack([_searched(scorer, *each) for each in zip(context, initial, strict=True)])
 
 
-def _searched(scorer: Scorer, told: Tensor, initial: Tensor) -> Tensor:
-    begun, now = scorer.begun(initial[None], told[None]), initial
-    best = scorer.scored(begun, now[None]).scores
+def _searched(scorer: Scorer, context: Tensor, initial: Tensor) -> Tensor:
+    encoded, now = scorer.encoded(initial[None], context[None]), initial
+    best = scorer.scored(encoded, now[None]).scores
     for _ in range(MOST_MOVES):
         ends = torch.stack([now, *options(now)])
-        score, chosen = scorer.scored(begun.repeated(len(ends)), ends).scores.max(0)
+        score, chosen = scorer.scored(encoded.repeated(len(ends)), ends).scores.max(0)
         if score <= best + LEAST_GAIN:
             break
         best, now = score, ends[chosen]

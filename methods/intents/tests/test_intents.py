@@ -21,7 +21,7 @@ from magical_intents.policy import POLICY, load_policy
 from magical_intents.practice import Steps, brought, kept
 from magical_intents.scenery import View, pictures_of_scene
 from magical_intents.scenes import ROBOT, positions_of, scene_of
-from magical_intents.scorer import TOLD, Begun, Scored, Scorer
+from magical_intents.scorer import CONTEXT, Encoded, Scored, Scorer
 from magical_intents.search import options, searched
 from magical_intents.sight import Sight, sight_loss, turned
 from magical_intents.skill import Skill
@@ -199,15 +199,15 @@ def test_scores_depend_on_what_is_given_and_not_on_the_order(data: list[Lesson])
 class Nearness(Scorer):
     """Prefers final scenes with the first block near a corner, and the robot at its start."""
 
-    def scored(self, begun: Begun, ends: torch.Tensor) -> Scored:
+    def scored(self, encoded: Encoded, ends: torch.Tensor) -> Scored:
         gap = (blocks_of(ends)[:, 0, 1:3] - 1.0).norm(dim=1)
-        return Scored(-10 * (gap + (ends[:, :2] - begun.states[:, :2]).norm(dim=1)), torch.zeros(len(ends), 3))
+        return Scored(-10 * (gap + (ends[:, :2] - encoded.states[:, :2]).norm(dim=1)), torch.zeros(len(ends), 3))
 
 
 def test_a_search_moves_what_raises_the_score() -> None:
     scene = magical_mj.sample_scene("MatchRegions", "All", 1)
     initial = torch.from_numpy(resting([scene]))
-    (end,) = searched(Nearness(), torch.ones(1, TOLD, SIZE), initial)
+    (end,) = searched(Nearness(), torch.ones(1, CONTEXT, SIZE), initial)
     start, blocks = blocks_of(initial[0]), blocks_of(end)
     assert blocks[0, 1:3].min() > 0.7
     assert torch.equal(blocks[1:], start[1:])
