@@ -51,11 +51,11 @@ MORE: Final = 0.75
 """The largest difference of the numbers of blocks that they move."""
 
 
-def examined(task: Task, *, test: bool = False) -> tuple[Draws, TaskSpec] | str:
+def examined(task: Task, *, test: bool = False, left_out: tuple[str, ...] = ()) -> tuple[Draws, TaskSpec] | str:
     """The draws and the definition of a task, or why it is not accepted.
 
     An intent needs scenes, and each of its relations must add something. Random placement of its blocks must not
-    satisfy it too often. In test sets, no shortcut must.
+    satisfy it too often. In test sets, no shortcut must. Scenes whose digests are left out are no further demo scenes.
     """
     intent = task.intent
     try:
@@ -75,7 +75,8 @@ def examined(task: Task, *, test: bool = False) -> tuple[Draws, TaskSpec] | str:
             return f"random places satisfy {share:.0%}" if share > CHANCE else (found_draws(intent, task.seed), spec)
         if why := floor(intent, spec, SCENES, FLOOR):
             return why
-        draws = msgspec.structs.replace(found_draws(intent, task.seed), **effort(intent, spec))
+        found, more = found_draws(intent, task.seed), effort(intent, spec)
+        draws = msgspec.structs.replace(found, left_out=left_out, **more)
         for contrasting in (False, True):
             draws = with_further(replace(task, demos=DEMOS, contrasting=contrasting), draws)
         return draws, spec_of(task, draws)
@@ -164,7 +165,7 @@ def problem(draws: Draws) -> str:
     It must have the draws that a search finds, and no training intent may mean the same.
     """
     task, test = task_of(draws.task), draws.set in TESTS
-    found = examined(task, test=test)
+    found = examined(task, test=test, left_out=draws.left_out)
     if isinstance(found, str):
         return found
     if msgspec.structs.replace(found[0], set=draws.set) != draws:

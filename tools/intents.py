@@ -2,10 +2,11 @@
 
 python -m tools.intents floors JOBS    writes magical_mj/intents/floors.json and a table in docs/intents-evaluation.md
 python -m tools.intents picture        draws docs/intents.png
-python -m tools.intents demonstrations 1000 JOBS
-makes the first 1,000 of those of the test sets, and writes the file that
-the package ships, and a table in docs/intents-evaluation.md; called again,
-it continues. One second of a core each, and minutes for a few of them
+python -m tools.intents leave-out JOBS
+replaces the further demo scenes of test sets in which the expert fails, in magical_mj/intents/sets.jsonl
+python -m tools.intents demonstrations JOBS
+makes those of the test sets, and writes the file that the package ships; called again, it continues.
+One second of a core each, and minutes for a few of them
 """
 
 from __future__ import annotations
@@ -15,16 +16,18 @@ import json
 import lzma
 import sys
 from collections.abc import Iterator
-from collections.abc import Set as AbstractSet
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
 
 from magical_mj.demos import stored
+from magical_mj.demos.recording import STRIDE
 from magical_mj.engine import Engine
+from magical_mj.experts import expert_of
 from magical_mj.intents.by_set import FLOORS, floors
 from magical_mj.intents.draws import Draws, in_sets
 from magical_mj.intents.expert_data import with_scenes
@@ -33,27 +36,23 @@ from magical_mj.intents.given import DEMONSTRATIONS_GIVEN
 from magical_mj.intents.intent import parse
 from magical_mj.intents.names import TESTS, tasks_in
 from magical_mj.intents.plans import planned
-from magical_mj.intents.tasks import (
-    PREFIX,
-    spec_of,
-    task_of,
-)
-from magical_mj.utils.errors import DemonstrationError
+from magical_mj.intents.tasks import PREFIX, Task, spec_of, task_of, with_further
+from magical_mj.scene import Scene
+from magical_mj.tasks.registry import sample_scene
 from tools.intent_criteria import SCENES, TEST_VARIANTS, test_scenes
+from tools.intent_sets import write_sets
 from tools.pages import ROOT, filled
 from tools.tables import table
 
 MEASURED: Final = 5
 """The number of scenes of Layout, and of All, for measuring shortcuts. They are other scenes than those for
 choosing the sets."""
+PLAYS: Final = 3
+"""The number of experts that try a further demo scene before it is replaced."""
 GIVEN: Final = 4
 """The number of demonstrations that an intent should have in each kind of scenes."""
-SHOWN: Final = (
-    ("one scene", 1, False),
-    ("four contrasting scenes", 4, True),
-    ("four random scenes", 4, False),
-)
-"""The demo scenes of these demonstrations: a text, their number, and whether they are contrasting."""
+SHOWN: Final = ((1, False), (4, True), (4, False))
+"""The demo scenes of these demonstrations: their number, and whether they are contrasting."""
 PICTURED: Final = (
     "in(colour=red, region) & untouched(others)",
     "near(all, to=blue star)",
@@ -119,49 +118,67 @@ class Wanted(NamedTuple):
     made: stored.Key
 
 
+def demonstrable(draws: Draws) -> Draws:
+    """The draws, without further demo scenes in which the expert fails."""
+    for contrasting in (False, True):
+        task = replace(task_of(draws.task), demos=GIVEN, contrasting=contrasting)
+        while (failed := _failed(task, draws)) is not None:
+            draws = msgspec.structs.replace(draws, left_out=(*draws.left_out, failed.digest()))
+            draws = with_further(task, draws)
+    return draws
+
+
+def _failed(task: Task, draws: Draws) -> Scene | None:
+    """The first further demo scene without a demonstration, shipped or played; None if all have one."""
+    name = f"{PREFIX}{task}"
+    for number, scene in enumerate(spec_of(task, draws).demos):
+        known = stored.shipped().get((name, "Demo", number))
+        if number and (known is None or known.scene != scene.digest()) and not _solved(name, number, scene):
+            return scene
+    return None
+
+
+def _solved(task: str, number: int, scene: Scene) -> bool:
+    """Whether one of the first experts that would demonstrate a scene solves it."""
+    for attempt in range(PLAYS):
+        with closing(Engine(task, "Demo", scene=scene)) as engine:
+            expert = expert_of(engine, task, number + attempt * STRIDE)
+            while not engine.step(expert()):
+                pass
+            if engine.score() == 1.0:
+                return True
+    return False
+
+
+def leave_out(jobs: int) -> None:
+    """Replaces demo scenes in which the expert fails."""
+    every = in_sets()
+    with ProcessPoolExecutor(jobs) as pool:
+        tests = pool.map(demonstrable, (draws for draws in every if draws.set in TESTS))
+        write_sets(next(tests) if draws.set in TESTS else draws for draws in every)
+
+
 def wanted() -> Iterator[Wanted]:
-    """Those of the test sets, the most needed first.
+    """Those of the test sets: for each intent four in each kind of scenes, and four more in one scene.
 
-    For each intent four in one scene and four in contrasting ones; then for each four in random ones; then four more in
-    one scene. The first is the same in all three, since the first demo scene is.
+    The first is the same in all three kinds, since the first demo scene is.
     """
-    tasks = [f"{PREFIX}{task}" for each in zip(*map(tasks_in, TESTS), strict=True) for task in each]
-    first = [(scenes, contrasting, range(GIVEN)) for _, scenes, contrasting in SHOWN]
-    more = [(1, False, range(GIVEN, DEMONSTRATIONS_GIVEN))]
-    for kinds in (first[:2], first[2:], more):
-        for task, (scenes, contrasting, numbers) in itertools.product(tasks, kinds):
-            for number in numbers:
-                key = (with_scenes(task, scenes, contrasting=contrasting), "Demo", number)
-                yield Wanted(key, key if number else (task, "Demo", 0))
+    tasks = [f"{PREFIX}{task}" for name in TESTS for task in tasks_in(name)]
+    for task, (scenes, contrasting) in itertools.product(tasks, SHOWN):
+        for number in range(GIVEN if scenes > 1 else DEMONSTRATIONS_GIVEN):
+            key = (with_scenes(task, scenes, contrasting=contrasting), "Demo", number)
+            yield Wanted(key, key if number else (task, "Demo", 0))
 
 
-def demonstrations(first: int, jobs: int) -> None:
-    """Makes the first of the `wanted` demonstrations, and ships all that were made."""
+def demonstrations(jobs: int) -> None:
+    """Makes the `wanted` demonstrations that the package does not have, and ships all."""
     every = list(wanted())
     path = ROOT / "out" / "intents" / stored.default_path().name
-    known = dict(stored.shipped())
-    try:
-        stored.complete(dict.fromkeys(one.made for one in every[:first]), path, known=known, jobs=jobs)
-    except DemonstrationError as error:
-        print(error, file=sys.stderr)
-    made = {**known, **stored.read(path)}
-    found = [msgspec.structs.replace(made[one.made], task=one.key[0]) for one in every if one.made in made]
+    known = {key: one for key, one in stored.shipped().items() if sample_scene(*key).digest() == one.scene}
+    made = stored.complete((one.made for one in every), path, known=known, jobs=jobs)
+    found = [msgspec.structs.replace(demo, task=one.key[0]) for one, demo in zip(every, made, strict=True)]
     stored.shipped_path().write_bytes(lzma.compress(b"\n".join(map(msgspec.json.encode, found)), preset=9))
-    print(f"{stored.shipped_path()}: {len(found)} of {len(every)} demonstrations")
-    write_table("demonstrations", shipped_table({one.key for one in found}))
-
-
-def shipped_table(keys: AbstractSet[stored.Key]) -> str:
-    """The number of intents of each set that have four demonstrations, by their scenes, and eight in one scene."""
-    rows = []
-    kinds = [(*kind, GIVEN) for kind in SHOWN] + [("one scene, eight", 1, False, DEMONSTRATIONS_GIVEN)]
-    for text, scenes, contrasting, given in kinds:
-        counts = []
-        for name in TESTS:
-            tasks = (with_scenes(f"{PREFIX}{task}", scenes, contrasting=contrasting) for task in tasks_in(name))
-            counts.append(str(sum(all((task, "Demo", number) in keys for number in range(given)) for task in tasks)))
-        rows.append((text, *counts))
-    return table(("Demonstrations in", *TESTS), rows)
+    print(f"{stored.shipped_path()}: {len(found)} demonstrations")
 
 
 # The picture
@@ -188,8 +205,10 @@ if __name__ == "__main__":
     match sys.argv[1:]:
         case ["floors", jobs]:
             write_floors(int(jobs))
-        case ["demonstrations", first, jobs]:
-            demonstrations(int(first), int(jobs))
+        case ["leave-out", jobs]:
+            leave_out(int(jobs))
+        case ["demonstrations", jobs]:
+            demonstrations(int(jobs))
         case ["picture"]:
             picture()
         case _:

@@ -37,7 +37,7 @@ Key = tuple[str, str, int]
 Watch = Callable[[int, int], object]
 """Called with the number of finished demonstrations, and their total number."""
 
-ATTEMPTS: Final = 3
+ATTEMPTS: Final = 4
 """The number of scenes that the expert tries for a demonstration."""
 NEXT: Final = 840_000_000_000
 """The increment of the scene's seed between attempts. A demo scene that depends on the seed repeats after some number

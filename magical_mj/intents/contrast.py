@@ -9,7 +9,7 @@ satisfies the rival, but not the intent.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from functools import lru_cache
 from itertools import compress, islice
 from typing import Final
@@ -46,7 +46,11 @@ def random_scene(intent: Intent, rng: np.random.Generator, first: Scene) -> Scen
 
 
 def contrasting_scenes(
-    intent: Intent, rng_of: Callable[[int, int], np.random.Generator], first: Scene, number: int
+    intent: Intent,
+    rng_of: Callable[[int, int], np.random.Generator],
+    first: Scene,
+    number: int,
+    left_out: Container[str] = (),
 ) -> list[Scene]:
     """The contrasting demo scenes after the first one, with other colours, poses, shapes and counts.
 
@@ -57,11 +61,13 @@ def contrasting_scenes(
         rng_of: the random generator of each candidate, by the number of the scene and that of the candidate.
         first: the first demo scene.
         number: the number of further scenes.
+        left_out: the digests of scenes that are not chosen.
     """
     chosen, left = list[Scene](), rivals([planned(intent, first)], CHOICE_BITS)
     while len(chosen) < number:
         rngs = (rng_of(len(chosen), each) for each in range(CANDIDATES))
-        candidates = [redrawn(intent, rng, first, *ALL_RULES) for rng in rngs]
+        scenes = (redrawn(intent, rng, first, *ALL_RULES) for rng in rngs)
+        candidates = [scene for scene in scenes if scene.digest() not in left_out]
         judge = Judge(left)
         reached = [judge.reached(*planned(intent, scene)) for scene in candidates]
         best = int(np.argmin([flags[:SIMPLEST].sum() for flags in reached]))

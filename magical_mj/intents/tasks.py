@@ -6,9 +6,10 @@ A text may end with settings of its demo scenes in square brackets: ``"in(colour
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
@@ -167,11 +168,21 @@ def with_further(task: Task, draws: Draws) -> Draws:
     """The draws with the demo scenes after the first one."""
     intent, first, number = task.intent, _first(task, draws), task.demos - 1
     if task.contrasting:
-        found = contrasting_scenes(intent, partial(_rng, intent, task.seed, CONTRASTING), first, number)
+        rng_of = partial(_rng, intent, task.seed, CONTRASTING)
+        found = contrasting_scenes(intent, rng_of, first, number, draws.left_out)
     else:
-        found = [random_scene(intent, _rng(intent, task.seed, RANDOM, each), first) for each in range(number)]
+        found = [_random_demo(task, first, each, draws.left_out) for each in range(number)]
     demos = tuple(msgspec.Raw(scene.to_json()) for scene in found)
     return msgspec.structs.replace(draws, **{"contrasting_demos" if task.contrasting else "random_demos": demos})
+
+
+def _random_demo(task: Task, first: Scene, number: int, left_out: Container[str]) -> Scene:
+    """A random demo scene after the first one, which is none of those left out."""
+    scenes = (
+        random_scene(task.intent, _rng(task.intent, task.seed, RANDOM, each), first)
+        for each in itertools.count(number, MOST_DEMOS)
+    )
+    return next(scene for scene in scenes if scene.digest() not in left_out)
 
 
 def _first(task: Task, draws: Draws) -> Scene:
