@@ -32,11 +32,12 @@ from magical_mj.intents.names import (
 from magical_mj.intents.tasks import PREFIX, task_of
 from magical_mj.policies.interface import Episode, Transitions
 from magical_mj.policies.loading import Source
+from magical_mj.protocol import SEEDS
 from magical_mj.rendering.backend import RendererName
 from magical_mj.scene import Scene
-from magical_mj.tasks.registry import sample_scene, task_spec
+from magical_mj.tasks.registry import TASKS, Names, listed, sample_scene, task_spec
 from magical_mj.utils.errors import DemonstrationError, SettingsError, counted
-from magical_mj.utils.settings import Count
+from magical_mj.utils.settings import Count, fitting
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
@@ -48,7 +49,7 @@ DEMONSTRATIONS_GIVEN: Final = 8
 
 
 OFFICIAL: Final = "intents"
-"""As `tasks`, this means the official evaluation: the test sets, by default two episodes in each of Layout and All."""
+"""Among `tasks`, this means the test sets; alone, by default two episodes in each of Layout and All."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,12 +80,22 @@ class GivenSettings(BaseSettings):
     ] = None
 
     def __post_init__(self) -> None:
-        if self.tasks == OFFICIAL:
-            object.__setattr__(self, "tasks", ",".join(f"{PREFIX}{name}" for name in TESTS))
+        tasks = fitting("tasks", self.tasks, Names)
+        if OFFICIAL in (names := listed(tasks, TASKS)):
+            is_alone = {*names} == {OFFICIAL}
+            if not is_alone and (self.variants == "all" or self.episodes is None):
+                raise SettingsError(
+                    f"{OFFICIAL} are played in {' and '.join(OFFICIAL_VARIANTS)}, {OFFICIAL_EPISODES} episodes each, "
+                    f"and other tasks in all variants, {SEEDS} episodes each: evaluate them apart, or give variants "
+                    f"and episodes of both (--variants {','.join(OFFICIAL_VARIANTS)} --episodes {OFFICIAL_EPISODES})"
+                )
+            sets = [f"{PREFIX}{name}" for name in TESTS]
+            tasks = tuple(one for name in names for one in (sets if name == OFFICIAL else [name]))
             if self.variants == "all":
                 object.__setattr__(self, "variants", ",".join(OFFICIAL_VARIANTS))
             if self.episodes is None:
                 object.__setattr__(self, "episodes", OFFICIAL_EPISODES)
+        object.__setattr__(self, "tasks", tasks)
         super().__post_init__()
         if (self.scenes or 1) > self.number_given:
             raise SettingsError(

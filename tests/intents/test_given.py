@@ -283,6 +283,14 @@ def test_the_official_evaluation_has_two_episodes_unless_another_number_is_given
     assert len(EvaluationSettings(tasks="intent:seen").seeds) == 100
 
 
+def test_the_test_sets_and_other_tasks_need_the_same_variants_and_episodes() -> None:
+    for chosen in ({}, {"variants": "All"}, {"episodes": 2}):
+        with pytest.raises(SettingsError, match=r"evaluate them apart, or give variants and episodes of both"):
+            EvaluationSettings(tasks="intents,FindDupe", **chosen)
+    settings = EvaluationSettings(tasks=iter(["intents", "FindDupe"]), variants="Layout,All", episodes=2)
+    assert len(settings.environments) == 502
+
+
 def test_an_error_in_an_intent_is_marked_at_its_place(shell: Shell, tmp_path: Path) -> None:
     text = "in(any, colour=red, regin)"
     _, _, error = shell("evaluate", "--policy", "noop", "--tasks", f"intent:{text}", "--out", tmp_path / "run")
