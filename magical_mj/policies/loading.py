@@ -33,7 +33,7 @@ from magical_mj.policies.models import LOADERS, Shape
 from magical_mj.shifts.registry import Effect
 from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import MissingFileError, SettingsError, short_repr, unknown_name
-from magical_mj.utils.imports import announced, imported, reference_in_folder, source_digest, source_of
+from magical_mj.utils.imports import announced, errors_of_user, imported, reference_in_folder, source_digest, source_of
 
 ACCEPTED_POLICIES: Final = (
     f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
@@ -294,7 +294,9 @@ def loader_in(folder: Path) -> EntryPoint | None:
 def policy_in(folder: Path) -> Act:
     """The policy in a folder. Raises a `SettingsError` if it contains none, or its loader fails or is missing."""
     loader = _folder_loader(folder)
-    return imported("loader of", loader.name, loader, SettingsError)(str(folder))
+    load = imported("loader of", loader.name, loader, SettingsError)
+    with errors_of_user(f"the policy in {folder} cannot be loaded", SettingsError):
+        return load(str(folder))
 
 
 def _folder_loader(folder: Path) -> EntryPoint:
