@@ -18,7 +18,7 @@ from magical_mj.evaluation.replay import obstacle
 from magical_mj.evaluation.reports.intervals import Estimate
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents.readings import ENDINGS
-from magical_mj.leaderboard.page import label
+from magical_mj.leaderboard.page import label, signed
 from magical_mj.leaderboard.standings import (
     ABOVE,
     BLOCKS,
@@ -237,8 +237,9 @@ def _details(name: str, method: Standing) -> str:
 def _checked(method: Standing) -> str:
     """How the method was checked, and what it lacks to be official."""
     words = "the actions lead to these scores, but anybody can tape an expert."
-    if method.rerun is not None:
-        words = "in fresh scenes, its mean score differs by {:+.2f} [{:+.2f}, {:+.2f}].".format(*method.rerun)
+    if method.rerun:
+        found = (f"{signed(difference)} ({what})" for what, difference in method.rerun.items())
+        words = f"in fresh scenes, its mean score differs by {' and by '.join(found)}."
     lacks = f" Partial: {', '.join(method.gaps)}." if method.gaps else ""
     level = f'<a href="leaderboard.html#making-the-leaderboard">{method.level.capitalize()}</a>'
     return f"<p>{level}: {escape(words + lacks)}</p>"

@@ -105,6 +105,7 @@ class Evaluation:
 
     Attributes:
         settings: the settings of the evaluation.
+        sources: the policies.
         scores: the results of the finished episodes.
         units: the work that remained at construction, or at the last call of `play`.
     """
@@ -116,20 +117,20 @@ class Evaluation:
         called with the number of finished demonstrations, and their total number.
         """
         settings.check_extras()
-        self._sources, settings = prepared(policy, settings)
+        self.sources, settings = prepared(policy, settings)
         self.settings = settings
-        check_runs((source.name, source.run, source.digest.get("sha256", "")) for source in self._sources)
+        check_runs((source.name, source.run, source.digest.get("sha256", "")) for source in self.sources)
         if settings.wrap:
-            source, pair = self._sources[0], settings.environments[0]
+            source, pair = self.sources[0], settings.environments[0]
             single_env(Unit(source.name, source.run, *pair, ()), settings, observed=True).close()  # fail early
-        self._labels = settings.shift_labels(self._sources)
-        check_repeatable(settings, self._sources, self._labels)
-        self._player = Player(self._sources, settings, watch)
+        self._labels = settings.shift_labels(self.sources)
+        check_repeatable(settings, self.sources, self._labels)
+        self._player = Player(self.sources, settings, watch)
         self._cause: Exception | None = None
         self.scores: list[EpisodeResult] = []
         self._folder: EvaluationFolder | None = None
         if settings.out is not None:
-            recorded = {**settings.recorded(self._sources), **self._player.starts.recorded}
+            recorded = {**settings.recorded(self.sources), **self._player.starts.recorded}
             self._folder = EvaluationFolder(settings.out, recorded, resume=settings.resume)
         self.units = self._remaining()
 
@@ -170,7 +171,7 @@ class Evaluation:
         """
         if self.settings.batched or not self.scores:  # scores of batches are approximate
             return
-        for source in self._sources:
+        for source in self.sources:
             own = [result for result in self.scores if (result.policy, result.run) == (source.name, source.run)]
             known: dict[tuple[str, ...], list[EpisodeResult]] = defaultdict(list)
             for result in own:
@@ -197,7 +198,7 @@ class Evaluation:
         settings, units = self.settings, list[Unit]()
         done = {result.key: result for result in (self._folder.done if self._folder else self.scores)}
         for task, variant in settings.environments:
-            for source, shift in product(self._sources, self._labels[task]):
+            for source, shift in product(self.sources, self._labels[task]):
                 every = Unit(source.name, source.run, task, variant, (), shift)
                 new, again = list[int](), list[Unit]()
                 for seed in settings.seeds:
@@ -273,7 +274,7 @@ class Evaluation:
 
     def _unsendable(self) -> str | None:
         """Why a policy cannot be sent to other processes. None if all can."""
-        for source in self._sources:
+        for source in self.sources:
             try:
                 cloudpickle.dumps(source)
             except Exception as error:  # noqa: BLE001 a policy's objects may raise anything

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import re
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -50,6 +51,7 @@ DEMONSTRATIONS_GIVEN: Final = 8
 
 OFFICIAL: Final = "intents"
 """Among `tasks`, this means the test sets; alone, by default two episodes in each of Layout and All."""
+_DEMONSTRATIONS: Final = re.compile(r"([1-9][0-9]{0,2}) demonstrations?(?: in ([1-8]) (contrasting )?scenes?)?")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,6 +148,19 @@ class GivenSettings(BaseSettings):
         if not self.control and not any("demonstrations" in policy.uses for policy in policies):
             return super().starts(policies, watch)
         return GivenStarts(self, policies, watch)
+
+
+def settings_of(given: str) -> dict[str, Any]:
+    """The settings of a description that `GivenSettings.given` made, without a control."""
+    found = _DEMONSTRATIONS.match(given)
+    if found is None:
+        return {}
+    number, scenes, contrasting = found.groups()
+    return {
+        "demonstrations": int(number),
+        "scenes": None if scenes is None else int(scenes),
+        "contrasting": contrasting is not None,
+    }
 
 
 def demonstrations_given(

@@ -147,13 +147,15 @@ class Recorded(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=Tr
 
     `uses` lists what they used in episodes (`magical_mj.policies.interface.USES`), and `loaded` what they were made of,
     such as "onnx". `milliseconds` is the mean time of a step, with the simulation and the pictures. `given` is the
-    description of intents that they received, such as "8 demonstrations in 4 scenes".
+    description of intents that they received, such as "8 demonstrations in 4 scenes", and `given_in_tasks` that of the
+    benchmark's tasks.
     """
 
     uses: Annotated[list[Name], Meta(max_length=10)] = []
     loaded: Annotated[list[Name], Meta(max_length=10)] = []
     milliseconds: Annotated[float, Meta(ge=0)] | None = None
     given: Name = ""
+    given_in_tasks: Name = ""
 
 
 class EntryFields(Struct, frozen=True):
@@ -318,14 +320,20 @@ def _joined(parts: Mapping[Path, Entry]) -> Recorded:
         sorted({use for part in recorded for use in part.uses}),
         sorted({kind for part in recorded for kind in part.loaded}),
         sum(times) / len(times) if times else None,
-        given_with_intents((row, part) for part, entry in parts.items() for row in entry.episodes),
+        *given_in((row, part) for part, entry in parts.items() for row in entry.episodes),
     )
 
 
-def given_with_intents(sources: Iterable[tuple[EpisodeResult, object]]) -> str:
-    """What the policy received in episodes of intents, which must be the same in all. Each comes with its source."""
-    given = [(row.given, source) for row, source in sources if row.task.startswith(PREFIX)]
-    return common("descriptions of intents", given) if given else ""
+def given_in(sources: Iterable[tuple[EpisodeResult, object]]) -> tuple[str, str]:
+    """What the policy received in episodes of intents, and in those of tasks. Each episode comes with its source."""
+    given: dict[bool, list[tuple[str, object]]] = {True: [], False: []}
+    for row, source in sources:
+        given[row.task.startswith(PREFIX)].append((row.given, source))
+    intents, tasks = (
+        common(f"descriptions of {kind}", rows) if rows else ""
+        for kind, rows in zip(("intents", "tasks"), given.values(), strict=True)
+    )
+    return intents, tasks
 
 
 def _content(path: Path, most: int) -> bytes:
@@ -390,7 +398,8 @@ def _episodes(content: Content, name: object) -> list[EpisodeResult]:
     for environment in sorted({environment for column in columns.values() for environment in column}):
         task, variant, shift = place_of(environment)
         shared["shift"] = shift
-        shared["given"] = content.recorded.given if task.startswith(PREFIX) else ""
+        recorded = content.recorded
+        shared["given"] = recorded.given if task.startswith(PREFIX) else recorded.given_in_tasks
         if (task, variant) not in places() or (shift and not in_track(task, variant, shift)):
             raise EvaluationError(f"{name} has results in {short_repr(environment)}, which is not an environment")
         lengths = {field: len(column.get(environment, ())) for field, column in columns.items()}

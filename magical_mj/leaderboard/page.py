@@ -44,11 +44,12 @@ INTRODUCTION: Final = (
     "Scores are between 0 and 1. An agent learns from demonstrations of one scene (Demo) and is tested with other "
     "poses, colours, shapes, numbers or dynamics. Compare methods within a category: they have the same rules, observe "
     "the same and may use the same kind of help. Methods are in the order of their generalisation, those without "
-    f"results in some environments last. {STAR}: official, all {len(ENVIRONMENTS)} environments and {LEAST_RUNS} runs "
-    f"or more, with authors and commands, and re-run; {DAGGER}: published, the paper's in the original simulator; all "
-    "others are partial. Replayed: the actions lead to the scores, but anybody can tape an expert. Re-run: the entry's "
-    "policies scored the same in fresh scenes on this machine. Repeated: others trained it again, in another entry, "
-    "and the 95 % interval of the difference contains 0."
+    f"results in some environments last. {STAR}: official, all {len(ENVIRONMENTS)} environments, all test intents, or "
+    f"both, and {LEAST_RUNS} runs or more, with authors and commands, and re-run; {DAGGER}: published, the paper's in "
+    "the original simulator; all others are partial. Replayed: the actions lead to the scores, but anybody can tape an "
+    "expert. Re-run: the entry's policies also played fresh scenes on this machine, of intents a sample, and the 95 % "
+    "interval of the difference contains 0. Repeated: others trained it again, in another entry, and the 95 % interval "
+    "of the difference in tasks contains 0."
 )
 USES: Final = "may also use"
 HEADINGS: Final = {
@@ -157,6 +158,7 @@ def _card(method: Standing) -> str:
     facts = {
         "by": card.authors,
         "checked": method.level,
+        "in fresh scenes": "; ".join(f"{what}: {signed(found)}" for what, found in method.rerun.items()),
         "uses": ", ".join(recorded.uses),
         "loaded from": ", ".join(recorded.loaded),
         "a step takes": None if recorded.milliseconds is None else f"{recorded.milliseconds:g} ms",
@@ -171,6 +173,11 @@ def _card(method: Standing) -> str:
     text = html(card.description or "")
     repeat = f"<p>Repeat it:</p><pre>{html(lines)}</pre>" if (lines := "\n".join(card.commands or ())) else ""
     return f"<article><h3>{html(method.name)}</h3><p>{text} {links}</p><dl>{items}</dl>{repeat}</article>"
+
+
+def signed(difference: Estimate) -> str:
+    """A difference and its interval, with their signs."""
+    return "{:+.2f} [{:+.2f}, {:+.2f}]".format(*difference)
 
 
 def intervals(methods: Sequence[Standing]) -> str:

@@ -79,8 +79,8 @@ class Standing:
         episodes: environment -> run -> the scores of its episodes by seed, NaN for missing ones; empty for published
             methods.
         new_places: the same, of the scenes that refute the shortcut.
-        rerun: how much higher the entry's policies scored in fresh scenes, see `magical_mj.leaderboard.rerun`. None if
-            they were not played.
+        rerun: how much higher the entry's policies scored in fresh scenes, by what was played; see
+            `magical_mj.leaderboard.rerun`. Empty if they were not played.
         repeated: whether another entry repeats it, see `repetition`.
         printed: the means over tasks in the paper's text, by variant, which differ from those of `means` by rounding.
     """
@@ -91,7 +91,7 @@ class Standing:
     means: Mapping[Pair, Floats]
     episodes: Mapping[Pair, Mapping[int, Floats]]
     new_places: Mapping[Pair, Mapping[int, Floats]] = field(default_factory=dict)
-    rerun: Estimate | None = None
+    rerun: Mapping[str, Estimate] = field(default_factory=dict)
     repeated: bool = False
     printed: Mapping[str, float] = field(default_factory=dict)
 
@@ -105,7 +105,7 @@ class Standing:
         """How it was checked: "replayed", also "re-run", or "repeated"; empty for published methods."""
         if self.kind == "published":
             return ""
-        return "repeated" if self.repeated else "replayed" if self.rerun is None else "re-run"
+        return "repeated" if self.repeated else "re-run" if self.rerun else "replayed"
 
     @property
     def privileges(self) -> tuple[str, ...]:
@@ -232,7 +232,7 @@ def _cells(episodes: Mapping[Pair, Mapping[int, Floats]], weights: Mapping[Pair,
     ]
 
 
-def standing(entry: Entry, rerun: Estimate | None = None) -> Standing:
+def standing(entry: Entry, rerun: Mapping[str, Estimate] = MappingProxyType({})) -> Standing:
     """The standing of an entry, with the result of its re-run, if its policies were played again."""
     episodes = _by_environment(entry.counted)
     refuting = refuting_seeds()
@@ -240,7 +240,7 @@ def standing(entry: Entry, rerun: Estimate | None = None) -> Standing:
     means: dict[Pair, Floats] = {
         pair: np.array([float(np.nanmean(row)) for row in runs.values()]) for pair, runs in episodes.items()
     }
-    missing = tuple(gaps(entry, rerun is not None))
+    missing = tuple(gaps(entry, was_rerun=bool(rerun)))
     kind: Kind = "partial" if missing else "official"
     return Standing(kind, entry, missing, means, episodes, _by_environment(new), rerun)
 
@@ -358,10 +358,12 @@ def floor(column: str) -> float:
     return 0.0 if column == ABOVE else float(np.mean([known[pair] for pair in COLUMNS[column]]))
 
 
-def standings(entries: Mapping[str, Entry], reruns: Mapping[str, Estimate] = MappingProxyType({})) -> list[Standing]:
+def standings(
+    entries: Mapping[str, Entry], reruns: Mapping[str, Mapping[str, Estimate]] = MappingProxyType({})
+) -> list[Standing]:
     """All methods, by block and by `Standing.rank`. Entries and their re-runs are given by name."""
     blocks = tuple(BLOCKS)
-    own = [standing(entry, reruns.get(name)) for name, entry in entries.items()]
+    own = [standing(entry, reruns.get(name, {})) for name, entry in entries.items()]
     found = [(method.name, repetition(method, other)) for method in own for other in own]
     repeated = {name for name, one in found if one is not None and one.low <= 0 <= one.high}  # not if they are NaN
     own = [replace(method, repeated=method.name in repeated) for method in own]

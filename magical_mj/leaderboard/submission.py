@@ -20,7 +20,7 @@ from magical_mj.leaderboard.entry import (
     Recorded,
     Versions,
     common,
-    given_with_intents,
+    given_in,
     packed,
     unpacked,
 )
@@ -107,7 +107,7 @@ def submit(
             uses,
             sorted({row.loaded for row in learnt} - {""}),
             round(1000 * seconds / steps, 2) if uses and steps else None,
-            given_with_intents(own),
+            *given_in(own),
         ),
     )
     if problem := entry.undeclared:

@@ -21,10 +21,12 @@ import magical_mj
 from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.leaderboard import read_entry, submit
 from magical_mj.leaderboard.entry import MOST_UNPACKED, Card, Demonstrations, Training, entry_files, packed, unpacked
+from magical_mj.leaderboard.page import HTML
 from magical_mj.leaderboard.rerun import POLICIES, rerun, stored_policies
 from magical_mj.leaderboard.standings import standing
 from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError
 from tests.helpers.agents import Slow
+from tests.helpers.commands import Shell
 from tests.helpers.entries import EPISODES, check, recorded, rewrite, whole
 
 CARD = """
@@ -211,7 +213,7 @@ def test_a_card_declares_what_its_policy_used(tmp_path: Path) -> None:
     assert "uses the simulation" in altered.undeclared
 
 
-def test_policies_in_an_entry_play_fresh_scenes(tmp_path: Path) -> None:
+def test_policies_in_an_entry_play_fresh_scenes(tmp_path: Path, shell: Shell) -> None:
     """A network from the site, in MoveToRegion: it scores as recorded. A record of full scores is not its own."""
     network, entry = Path(__file__).parents[2] / "site" / "policies" / "MoveToRegion.onnx", tmp_path / "entry"
     played = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "preset": "State", "jobs": 1}
@@ -224,14 +226,23 @@ def test_policies_in_an_entry_play_fresh_scenes(tmp_path: Path) -> None:
     (entry / POLICIES).mkdir()
     shutil.copy(network, entry / POLICIES / "0-MoveToRegion.onnx")
     policies = stored_policies(entry)
-    assert [(policy.run, policy.task) for policy in policies] == [(0, "MoveToRegion")]
-    assert not rerun(own, policies, first_seed=7, scenes=20, jobs=1).decided
+    assert [(policy.run, policy.part) for policy in policies] == [(0, "MoveToRegion")]
+    ((what, found),) = rerun(own, policies, first_seed=7, scenes=20, jobs=1).items()
+    assert (what, found.decided) == ("1 task, 20 scenes in each environment", False)
     taped = replace(own, episodes=[dataclasses.replace(episode, score=1.0) for episode in own.episodes])
-    assert rerun(taped, policies, first_seed=7, scenes=20, jobs=1).high < 0
-    with pytest.raises(EvaluationError, match="no policy for FixColour"):
+    (found,) = rerun(taped, policies, first_seed=7, scenes=20, jobs=1).values()
+    assert found.high < 0
+    with pytest.raises(EvaluationError, match="no policy of its runs for FixColour"):
         rerun(replace(own, episodes=[recorded(0, "FixColour", "Demo", 0, 1.0, "a")]), policies, first_seed=0)
-    (entry / POLICIES / "best.onnx").touch()
-    with pytest.raises(EvaluationError, match=r"best.onnx must be named RUN or RUN-TASK"):
+    code, out, _ = shell("leaderboard", entry, "--rerun", "--seed", 7, "--scenes", 2, "--replay", 1)
+    assert code == 0
+    assert "entry: re-run in fresh scenes from 7 on: 1 task, 2 scenes in each environment: " in out
+    assert "1 task, 2 scenes in each environment: " in (tmp_path / "out" / "leaderboard" / HTML).read_text()
+    shutil.copy(network, entry / POLICIES / "0.onnx")
+    with pytest.raises(EvaluationError, match=r"0-MoveToRegion.onnx and .*0.onnx are both run 0 in MoveToRegion"):
+        stored_policies(entry)
+    (entry / POLICIES / "0.onnx").rename(entry / POLICIES / "best.onnx")
+    with pytest.raises(EvaluationError, match=r"best.onnx must be a model .* and named RUN, RUN-TASK or RUN-intents"):
         stored_policies(entry)
 
 
@@ -239,10 +250,10 @@ def test_policies_in_an_entry_play_fresh_scenes(tmp_path: Path) -> None:
 def test_the_policies_of_our_entry_score_the_same_in_fresh_scenes() -> None:
     folder = Path(__file__).parents[2] / "results" / "state-bc"
     policies = stored_policies(folder)
-    assert [(policy.run, policy.task) for policy in policies] == [(5, task) for task in sorted(magical_mj.TASKS)]
+    assert [(policy.run, policy.part) for policy in policies] == [(5, task) for task in sorted(magical_mj.TASKS)]
     entry = read_entry(folder)
     found = rerun(entry, policies, first_seed=0)
-    assert not found.decided
+    assert [one.decided for one in found.values()] == [False]
     assert standing(entry, found).kind == "official"
 
 

@@ -5,15 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from msgspec import structs
 
+from magical_mj.evaluation.reports.intervals import Cell, estimate
 from magical_mj.leaderboard import Entry, check_entries, read_entry, submit, verify
 from magical_mj.leaderboard.entry import packed, unpacked
 from magical_mj.leaderboard.page import HTML, tables, write_pages
-from magical_mj.leaderboard.rerun import rerun
-from magical_mj.leaderboard.standings import gaps, standings
-from magical_mj.utils.errors import EvaluationError
+from magical_mj.leaderboard.places import intents, places
+from magical_mj.leaderboard.rerun import PER_SET, StoredPolicy, rerun
+from magical_mj.leaderboard.standings import gaps, standing, standings
+from magical_mj.utils.errors import EvaluationError, SettingsError
+from tests.helpers.agents import Nearest
+from tests.helpers.entries import recorded, whole
 from tests.helpers.evaluations import evaluate
 
 TASKS = "intent:seen/5,intent:long/3"
@@ -84,9 +89,61 @@ def test_an_entry_may_hold_intents_in_one_file_and_tasks_in_another(folder: Path
     assert read_entry(tmp_path / "both.json.xz").recorded.given == "instruction"
 
 
-def test_intents_are_not_played_again(entries: dict[str, Entry]) -> None:
-    with pytest.raises(EvaluationError, match="Reader has only intents, which are not played again"):
-        rerun(entries["reader"], [], first_seed=0)
+def stored(policy: str, part: str | None) -> StoredPolicy:
+    """Run 0 of an importable policy, in place of a model."""
+    return StoredPolicy(0, part, Path(policy))
+
+
+def test_policies_play_intents_and_tasks_again_with_what_they_received(tmp_path: Path) -> None:
+    """The policy of a whole run plays where the run has episodes, with the number of demonstrations of each part."""
+    intents = "intent:combined/1,intent:relation/0,intent:relation/2"
+    for name, tasks, number in (("intents", intents, 4), ("tasks", "MoveToRegion", 3)):
+        how = {"tasks": tasks, "variants": "Layout", "episodes": 2, "demonstrations": number}
+        evaluate(Nearest(), out=tmp_path / name, **how)
+    (tmp_path / "card.toml").write_text('privileges = ["demonstrations at test"]\n')
+    submit([tmp_path / "tasks", tmp_path / "intents"], tmp_path / "e.json.xz", card=tmp_path / "card.toml")
+    entry = read_entry(tmp_path / "e.json.xz")
+    assert (entry.recorded.given_in_tasks, entry.recorded.given) == ("3 demonstrations", "4 demonstrations")
+    own = stored("tests.helpers.agents:Nearest", None)
+    found = rerun(entry, [own], first_seed=3, scenes=2, jobs=1)
+    assert {what: one.decided for what, one in found.items()} == {
+        "1 task, 2 scenes in each environment": False,
+        "3 intents, a scene of each in Layout": False,
+    }
+    taped = structs.replace(entry, episodes=[replace(row, score=1.0) for row in entry.episodes])
+    assert all(one.high < 0 for one in rerun(taped, [own], first_seed=3, scenes=4, jobs=1).values())
+    other = structs.replace(entry, recorded=structs.replace(entry.recorded, given="more demonstrations"))
+    for changed, policy, problem in (
+        (other, own, "receives 8 demonstrations in intents, but the entry says more demonstrations"),
+        (entry, stored("tests.helpers.agents:Stubborn", None), "and none of Nearest has it"),
+        (entry, own._replace(part="MoveToRegion"), "no policy of its runs for intents"),
+        (entry, own._replace(run=3), "no policy of its runs for MoveToRegion, intents"),
+    ):
+        with pytest.raises((EvaluationError, SettingsError), match=problem):
+            rerun(changed, [policy], first_seed=3)
+
+
+def test_the_sample_has_as_many_intents_of_each_set_and_a_complete_entry_is_official() -> None:
+    where = {pair: range(places()[pair]) for pair in intents()}
+    rows = [recorded(k, *pair, seed, 0.0, "a") for k in range(5) for pair, seeds in where.items() for seed in seeds]
+    entry = structs.replace(whole(), observations=None, episodes=rows)
+    found = rerun(entry, [stored("noop", "intents")], first_seed=1, per_set=1, jobs=1)
+    assert [*found] == ["5 intents, a scene of each in Layout and All"]
+    assert gaps(entry) == ["its policies were not re-run"]
+    assert (standing(entry, found).kind, standing(entry, found).level) == ("official", "re-run")
+    assert gaps(structs.replace(entry, episodes=rows[1:])) == ["1 of 5000 episodes missing", gaps(entry)[0]]
+
+
+def test_the_interval_of_a_hundred_intents_is_as_wide_as_documented() -> None:
+    """The widest one: every recorded and every fresh episode is solved with probability one half."""
+    rng, widths = np.random.default_rng(0), []
+    for _ in range(50):
+        new, old = (rng.binomial(number, 0.5, (1, 5 * PER_SET)) / number for number in (2, 4))
+        found = estimate([Cell(new, 1.0, 0, "intents"), Cell(old, -1.0, 0, "intents")])
+        widths.append((found.high - found.low) / 2)
+    text = (Path(__file__).parents[2] / "docs" / "leaderboard.md").read_text()
+    assert f"{PER_SET} of each set are drawn" in text
+    assert f"With {5 * PER_SET} intents it reaches up to about {np.mean(widths):.2f} to each side" in text
 
 
 def test_a_complete_evaluation_of_intents_is_confirmed(folder: Path) -> None:

@@ -202,7 +202,7 @@ def test_all_shifts_are_those_that_the_policies_notice(tmp_path: Path) -> None:
             ),
         )
         labels = {unit.shift for unit in evaluation.units}
-        assert labels == set(evaluation.settings.recorded(evaluation._sources)["shifts"])
+        assert labels == set(evaluation.settings.recorded(evaluation.sources)["shifts"])
         return {label.partition(":")[0] for label in labels} - {""}
 
     every, drawn = set(SHIFTS), {"camera", "light", "texture", "palette", "sensor"}

@@ -18,10 +18,10 @@ from magical_mj.leaderboard import Entry, Findings, check_entries, read_entry, s
 from magical_mj.leaderboard.check import MOST_REPLAYED, SHARE
 from magical_mj.leaderboard.entry import entry_files
 from magical_mj.leaderboard.names import appearance
-from magical_mj.leaderboard.page import check_free, write_pages
-from magical_mj.leaderboard.rerun import LARGEST_SEED, SCENES, rerun, stored_policies
+from magical_mj.leaderboard.page import check_free, signed, write_pages
+from magical_mj.leaderboard.rerun import LARGEST_SEED, PER_SET, SCENES, rerun, stored_policies
 from magical_mj.leaderboard.standings import gaps, standings
-from magical_mj.utils.errors import EvaluationError, MissingExtraError, SettingsError, counted
+from magical_mj.utils.errors import EvaluationError, MagicalError, counted
 from magical_mj.utils.extras import check_extra
 
 SHOWN: Final = 20
@@ -76,14 +76,17 @@ def make_leaderboard(
     again: Annotated[
         bool, Option("--rerun", help="Play the policies that entries hold in fresh scenes, and compare the scores.")
     ] = False,
-    scenes: Annotated[int, Option(min=2, help="With --rerun: fresh scenes in each environment.")] = SCENES,
+    scenes: Annotated[int, Option(min=2, help="With --rerun: fresh scenes in each environment of tasks.")] = SCENES,
+    intents: Annotated[
+        int, Option(min=1, help="With --rerun: intents of each set, drawn at random; a fresh scene in each variant.")
+    ] = PER_SET,
     seed: Annotated[int | None, Option(min=0, help="The seed of the samples.", show_default="random")] = None,
     jobs: option.Jobs = None,
 ) -> None:
     """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""
     check_extra("leaderboards", "eval")
     check_fits(context, not everything, "without --all", "replay")
-    check_fits(context, again, "with --rerun", "scenes")
+    check_fits(context, again, "with --rerun", "scenes", "intents")
     check_fits(context, again or not everything, "without --all, or with --rerun", "seed")
     paths = entry_files(folder)
     check_free(make_writable_folder(out))
@@ -102,11 +105,14 @@ def make_leaderboard(
             complain(str(error))
     with counting(screen, "replaying episodes") as watch:
         findings = check_entries(entries, most=None if everything else replay, seed=seed, jobs=jobs, watch=watch)
-    good, reruns = _good(entries, findings), dict[str, Estimate]()
+    good, reruns = _good(entries, findings), dict[str, dict[str, Estimate]]()
     for path in paths if again else ():
-        if path.name in good and (found := _rerun(path, good[path.name], scenes, seed % LARGEST_SEED, jobs)):
+        if path.name not in good:
+            continue
+        sizes = {"first_seed": seed % LARGEST_SEED, "scenes": scenes, "per_set": intents}
+        if found := _rerun(path, good[path.name], jobs, sizes):
             reruns[path.name] = found
-            if found.decided:
+            if any(one.decided for one in found.values()):
                 complain(f"{path.name} differs: its policies do not score as the entry says")
                 del good[path.name]
     for page in write_pages(standings(good, reruns), out):
@@ -130,21 +136,22 @@ def _good(entries: Mapping[str, Entry], findings: Mapping[str, Findings]) -> dic
     return good
 
 
-def _rerun(path: Path, entry: Entry, scenes: int, first_seed: int, jobs: int | None) -> Estimate | None:
-    """The result of the policies in an entry's folder. None if there are none, or they cannot be played."""
+def _rerun(path: Path, entry: Entry, jobs: int | None, sizes: Mapping[str, int]) -> dict[str, Estimate]:
+    """The results of the policies in an entry's folder. Empty if there are none, or they cannot be played."""
     screen = console()
     try:
         policies = stored_policies(path)
         if not policies:
             screen.print(f"{path.name}: no policies to re-run", soft_wrap=True)
-            return None
+            return {}
         with counting(screen, f"re-running {path.name}") as watch:
-            found = rerun(entry, policies, first_seed=first_seed, scenes=scenes, jobs=jobs, watch=watch)
-    except (EvaluationError, SettingsError, MissingExtraError) as error:
+            found = rerun(entry, policies, jobs=jobs, watch=watch, **sizes)
+    except MagicalError as error:  # also those of an intent, of a demonstration or of the renderer
         complain(f"{path.name} cannot be re-run: {error}")
-        return None
-    interval = "{:+.2f} [{:+.2f}, {:+.2f}]".format(*found)
-    screen.print(f"{path.name}: re-run in fresh scenes from {first_seed} on: {interval}", soft_wrap=True)
+        return {}
+    first = f"in fresh scenes from {sizes['first_seed']} on"
+    for what, difference in found.items():
+        screen.print(f"{path.name}: re-run {first}: {what}: {signed(difference)}", soft_wrap=True)
     return found
 
 
