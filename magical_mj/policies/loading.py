@@ -42,6 +42,8 @@ WEIGHTS: Final = (".bin", ".ckpt", ".pt", ".pth", ".safetensors")
 """The suffixes of files with the weights of a network."""
 _POLICY: Final = re.compile(r"^(?:class|def) (\w*(?:policy|agent))\b", re.IGNORECASE | re.MULTILINE)
 """A line of a module that probably defines a policy."""
+SHOWN_TASKS: Final = 8
+"""The largest number of tasks that an error names: sets of intents have more."""
 _COMMA: Final = re.compile(r"(?<!\\),")
 """A comma that separates policies."""
 TORCH: Final = (
@@ -373,8 +375,10 @@ def _check_tasks(policy: object, pairs: Sequence[Pair], like: str) -> None:
         if name not in tasks and not (name == NEUTRAL and task in tasks):
             others.add(task if name == NEUTRAL else name)
     if others:
+        named = sorted(others)[:SHOWN_TASKS]
+        more = f" and {len(others) - len(named)} others" if len(others) > len(named) else ""
         raise SettingsError(
-            f"the policy cannot act in {', '.join(sorted(others))}: give --tasks {','.join(tasks)}, or --as with one "
+            f"the policy cannot act in {', '.join(named)}{more}: give --tasks {','.join(tasks)}, or --as with one "
             "of them if your task is a modification of it"
         )
 
