@@ -12,6 +12,8 @@ BIN := $(VENV)/bin
 METHODS := --editable methods/relational --editable methods/goals --editable methods/intents
 # Without --no-compile, pip compiles 20,000 modules, of which Python would import few.
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
+# Processes keep what they compile: without that, each one that imports PyTorch takes 2 s more.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test fast bench peers leaderboard check format docs readme demonstrations lerobot integrations-test constraints notebooks release-check system site site-test site-test-firefox site-audit site-picture site-looks policies node chromium firefox xvfb
 
