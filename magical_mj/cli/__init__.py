@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 from collections.abc import Sequence
 
@@ -11,8 +12,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     While a command is being imported, Ctrl-C kills the process with the signal, which shells report as 130.
     """
-    if arguments is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if arguments is None:  # the process is its own
+        gc.set_threshold(10_000)  # by default, a fifth of the time of importing PyTorch is a search for garbage
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
     from magical_mj.cli.app import run
 
     return run(arguments)

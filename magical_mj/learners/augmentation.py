@@ -13,7 +13,6 @@ import math
 from typing import Final
 
 import torch
-from kornia.geometry.transform import get_affine_matrix2d, warp_affine
 from torch import Tensor
 
 from magical_mj.learners.networks import pose_mask
@@ -132,6 +131,8 @@ def move(stacks: Tensor, shifts: Tensor, degrees: Tensor) -> Tensor:
         shifts: pixels to the right and down, of shape (n, 2).
         degrees: shape (n,).
     """
+    from kornia.geometry.transform import get_affine_matrix2d, warp_affine  # half a second, which states do not need
+
     height, width = stacks.shape[-2:]
     centres = shifts.new_tensor([(width - 1) / 2, (height - 1) / 2]).expand_as(shifts)
     matrices = get_affine_matrix2d(shifts, centres, torch.ones_like(shifts), degrees)[:, :2]
