@@ -277,7 +277,7 @@ def _panel(axes: Axes, results: Results, policy: str) -> Any:
             text, colour = f"{score:.2f}", "white" if score > DARK else "black"
         else:
             text, colour = "?" if (tasks[y], variants[x]) in ENVIRONMENTS else "", "black"
-        axes.text(x, y, text, ha="center", va="center", fontsize=8, color=colour)
+        axes.text(x, y, text, ha="center", va="center", fontsize=8, color=colour, in_layout=False)
     axes.set_xticks(range(len(variants)), variants, rotation=45, ha="right", rotation_mode="anchor", fontsize=9)
     names = (task if len(task) <= LONGEST else f"{task[:LONGEST]}..." for task in tasks)
     axes.set_yticks(range(len(tasks)), map(escape.mathtext, names), fontsize=9)
