@@ -51,7 +51,7 @@ def pytest_collection() -> Generator[None, object, object]:
         return (yield)
     finally:
         gc.freeze()
-        gc.set_threshold(10_000, 5, 5)  # by default, the search takes a fifth of the time of a test with many objects
+        gc.set_threshold(100_000, 5, 5)  # by default, the search takes a fifth of the time of a test with many objects
         gc.enable()
 
 
