@@ -6,10 +6,13 @@ import pytest
 
 from tests.helpers.attacks import ATTACKS, cost
 
-pytestmark = pytest.mark.slow
+LONGEST = ("zeros", "runs")
 
 
-@pytest.mark.parametrize("name", ATTACKS)
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.weekly) if name in LONGEST else name for name in ATTACKS]
+)
 def test_a_strangers_file_takes_bounded_time_and_memory(name: str) -> None:
     attack, spent = ATTACKS[name], cost(name)
     assert spent.code is not None, "it was stopped"

@@ -198,7 +198,7 @@ def plain(path: Path) -> mujoco.MjData:
     return data
 
 
-@pytest.mark.slow
+@pytest.mark.weekly
 @pytest.mark.xdist_group("warp")
 @pytest.mark.filterwarnings("default")
 def test_warp_needs_only_the_pages_flag(tmp_path: Path) -> None:
