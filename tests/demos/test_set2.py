@@ -19,10 +19,10 @@ from magical_mj.leaderboard.entry import Demonstrations, read_entry
 from magical_mj.leaderboard.standings import gaps
 from magical_mj.learners import clone, train
 from magical_mj.learners.data import chosen
-from magical_mj.learners.policy import export_policy, load_policy
+from magical_mj.learners.policy import load_policy
 from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError
 from tests.helpers.commands import Shell
-from tests.helpers.learners import EXPORTS, from_states
+from tests.helpers.learners import from_states
 
 
 def test_there_are_25_different_ones_of_each_task_with_score_1_in_a_small_file() -> None:
@@ -79,7 +79,6 @@ def test_cloning_them_needs_the_set_in_the_settings() -> None:
     assert clone(from_states(**{"demos.set": 2}), given).learnt.demonstration_set == 2
 
 
-@EXPORTS
 def test_trainings_evaluations_and_entries_record_the_set(tmp_path: Path) -> None:
     settings = from_states(**{"demos.set": 2})
     seeds = {row.seed for row in stored_rows(FILES[2]) if row.task == "MoveToRegion"}
@@ -91,8 +90,7 @@ def test_trainings_evaluations_and_entries_record_the_set(tmp_path: Path) -> Non
     where = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 2, "jobs": 1}
     evaluate({"BC": tmp_path / "run"}, out=tmp_path / "scores", **where)
     assert json.loads((tmp_path / "scores" / "run.json").read_text())["policies"][0]["demonstration_set"] == 2
-    exported = export_policy(tmp_path / "run", tmp_path / "bc.onnx")
-    for number, policy in enumerate([exported, trained, load_policy(tmp_path / "run")]):
+    for number, policy in enumerate([trained, load_policy(tmp_path / "run")]):
         evaluate({"BC": policy}, out=tmp_path / f"other{number}", **where)
         recorded = json.loads((tmp_path / f"other{number}" / "run.json").read_text())["policies"][0]
         assert recorded["demonstration_set"] == 2

@@ -132,12 +132,14 @@ def test_states_of_one_of_several_tasks(both: Path, states: np.ndarray, tmp_path
 
 @pytest.mark.slow
 @EXPORTS
-@pytest.mark.parametrize("settings", [tiny(), playing()], ids=["bc", "gail"])  # with and without batch norm
+@pytest.mark.parametrize("settings", [tiny(**{"demos.set": 2}), playing()], ids=["bc", "gail"])
 def test_pictures(settings: TrainingSettings, tmp_path: Path) -> None:
+    """With and without batch norm. The file records the set of the demonstrations."""
     train(settings, tmp_path / "run")
     file = export_policy(tmp_path / "run", tmp_path / "policy.onnx")
     seen = np.random.default_rng(0).integers(0, 256, (SEEN, 96, 96, 12)).astype(np.uint8)
     compare_exported(load_policy(tmp_path / "run").actor, file, seen)
+    assert load_onnx(file).learnt.demonstration_set == settings.demos.set
 
 
 def test_policies_that_cannot_be_exported_say_why(both: Path, tmp_path: Path, shell: Shell) -> None:

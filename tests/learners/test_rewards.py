@@ -18,7 +18,7 @@ from magical_mj.evaluation import evaluate
 from magical_mj.leaderboard import check_entries, read_entry, submit, verify
 from magical_mj.learners import METHODS, train
 from magical_mj.learners.bc import BehaviouralCloning
-from magical_mj.learners.policy import export_policy, load_policy
+from magical_mj.learners.policy import load_policy
 from magical_mj.learners.rewards import (
     KINDS,
     OnLearntReward,
@@ -33,7 +33,7 @@ from magical_mj.observations import STATE_NAMES
 from magical_mj.policies.facts import Learnt
 from magical_mj.utils.errors import EvaluationError, SettingsError, TrainingError, UnknownNameError
 from tests.helpers.commands import Shell
-from tests.helpers.learners import EXPORTS, check_resumes, from_states, playing, stopped
+from tests.helpers.learners import check_resumes, from_states, playing, stopped
 
 NAMES = ("robot.x", "robot.y", "region0.x_min", "region0.y_min", "region0.x_max", "region0.y_max")
 X, Y, *BOX = (STATE_NAMES.index(name) for name in NAMES)
@@ -139,18 +139,16 @@ def test_ppo_learns_from_a_learnt_reward_in_another_variant(tmp_path: Path) -> N
     check_resumes("ppo", {"preset": "State", "reward.run": tmp_path / "gail", "reward.variant": "Layout"}, tmp_path)
 
 
-@EXPORTS
 def test_an_entry_declares_that_its_policies_played_in_a_test_variant(tmp_path: Path) -> None:
-    """An evaluation records it, also of an exported policy, and an entry keeps it when its card changes."""
+    """An evaluation records it, and an entry keeps it when its card changes."""
     train(from_states(method="iq-learn"), tmp_path / "iq")
     for variant in ("Demo", "Layout"):
         chosen = {"preset": "State", "reward.run": tmp_path / "iq", "reward.variant": variant}
         train(playing("ppo", **chosen), tmp_path / variant)
-    export_policy(tmp_path / "Layout", tmp_path / "exported.onnx")
     card = tmp_path / "card.toml"
     card.write_text('privileges = ["states", "simulator in training"]')
     where = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 1, "jobs": 1}
-    for name in ("Demo", "Layout", "exported.onnx"):
+    for name in ("Demo", "Layout"):
         evaluate({"PPO": tmp_path / name}, out=tmp_path / f"scores of {name}", **where)
         if name != "Demo":
             with pytest.raises(SettingsError, match=r'PPO learnt in scenes of Layout: add "other scenes" to'):
