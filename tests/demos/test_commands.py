@@ -110,8 +110,8 @@ def test_a_damaged_file_is_reported(demo: Demonstration, shell: Shell) -> None:
     path = Path("MoveToRegion-Demo-000.npz")
     demos.write(demo, path)
     path.write_bytes(path.read_bytes()[:-10])
-    generate = ("generate", "--tasks", "MoveToRegion", "--count", 1, "--out", ".")
-    for code, *command in (2, *generate), (1, "verify", path), (2, "info", path):
+    generate = ("generate", "--tasks", "MoveToRegion", "--count", 1, "--out", ".", "--jobs", 1)
+    for code, *command in (2, *generate), (1, "verify", path, "--jobs", 1), (2, "info", path):
         assert "is damaged, truncated, or not a demonstration" in said(shell, *command, code=code)
     assert "none.npz" in shell.fails(2, "demos", "info", "none.npz")
 
@@ -170,10 +170,10 @@ def test_tasks_in_files_run_only_if_the_user_names_them(demo: Demonstration, she
 
 
 def test_a_generate_that_was_interrupted_says_what_is_kept_and_goes_on(shell: Shell) -> None:
-    command = [sys.executable, "-m", "magical_mj", "demos", "generate", "--tasks", "MatchRegions", "--out", "made"]
+    command = [sys.executable, "-m", "magical_mj", "demos", "generate", "--tasks", "MoveToRegion", "--out", "made"]
     for ends_by, code in ((signal.SIGINT, 130), (signal.SIGKILL, -9)):
         process = subprocess.Popen(
-            [*command, "--count", "40", "--jobs", "1"], stderr=subprocess.PIPE, text=True, start_new_session=True
+            [*command, "--count", "900", "--jobs", "1"], stderr=subprocess.PIPE, text=True, start_new_session=True
         )
         before = len(demos.files_in("made"))
         while len(demos.files_in("made")) == before:
@@ -181,13 +181,13 @@ def test_a_generate_that_was_interrupted_says_what_is_kept_and_goes_on(shell: Sh
         os.killpg(process.pid, ends_by)
         _, error = process.communicate()
         assert process.returncode == code
-        episodes = demos.load("MatchRegions", "made")
-        assert before < len(episodes) < 40
+        episodes = demos.load("MoveToRegion", "made")
+        assert before < len(episodes) < 900
         if ends_by == signal.SIGINT:
-            assert f"{len(episodes)} of 40 demonstrations are in made" in error
-    more = ("--tasks", "MatchRegions", "--count", len(episodes) + 1)
+            assert f"{len(episodes)} of 900 demonstrations are in made" in error
+    more = ("--tasks", "MoveToRegion", "--count", len(episodes) + 1)
     said(shell, "generate", *more, "--out", "made", "--jobs", 1)
-    assert len(demos.load("MatchRegions", "made")) == len(episodes) + 1
+    assert len(demos.load("MoveToRegion", "made")) == len(episodes) + 1
 
 
 @pytest.fixture

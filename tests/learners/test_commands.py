@@ -20,7 +20,7 @@ from magical_mj.learners.policy import POLICY
 from tests.helpers.learners import TINY
 
 PICTURES = {name: value for name, value in TINY.items() if name not in ("device", "network.entity")}
-SET = [f"--set={name}={value}" for name, value in {**PICTURES, "bc.batches": 8}.items()]
+SET = [f"--set={name}={value}" for name, value in {**PICTURES, "bc.batches": 8, "bc.batch_size": 4}.items()]
 TRAIN = ["train", "bc", "--tasks", "MoveToRegion", "--quick", "--device", "cpu", *SET]
 
 
