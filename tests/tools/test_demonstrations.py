@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 import magical_mj
 from magical_mj.demos.shipped import FILES, stored_rows
@@ -24,7 +23,6 @@ def test_graded_ones_that_stop_begin_as_shipped_ones_and_mistaken_ones_are_made_
     assert any(np.array_equal(demo.actions, made) for demo in graded if demo.demonstrator == "mistaken")
 
 
-@pytest.mark.weekly
 def test_set_2_is_more_varied_than_set_1_and_nearer_to_people() -> None:
     task = "MatchRegions"
     by_set = {number: magical_mj.demos.load(task, set=number) for number in (1, 2)}

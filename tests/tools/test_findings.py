@@ -293,6 +293,7 @@ def test_the_demonstrations_page_says_how_much_set_2_costs() -> None:
     assert f"at most {others[0]:.2f} in each other task." in page
 
 
+@pytest.mark.weekly
 def test_the_demonstrations_page_has_the_statistics_of_the_demonstrations() -> None:
     page = (ROOT / "docs" / "demonstration-sets.md").read_text("utf-8")
     table = page.partition("| | set 1 | set 2 | people |")[2].split("\n\n")[0].splitlines()[2:]
