@@ -296,10 +296,10 @@ def read_entry(path: Path | str) -> Entry:
     parts = {part: unpacked(_content(part, MOST_OF_ENTRY), part) for part in sorted(path.glob(f"*{SUFFIX}"))}
     if not parts:
         raise EvaluationError(f"{path} has a card, but no episodes (*{SUFFIX})")
-    holders: dict[str, Path] = {}
+    holders: dict[tuple[object, ...], Path] = {}
     for part, entry in parts.items():
         for row in entry.episodes:
-            if holders.setdefault(row.title, part) != part:
+            if holders.setdefault(row.key[1:], part) is not part:
                 raise EvaluationError(f"{part} and another file of {path} hold the same episode: {row.title}")
     observations, rules, protocol = (
         common(name, ((getattr(entry, name), part) for part, entry in parts.items())) for name in SHARED
@@ -326,12 +326,12 @@ def _joined(parts: Mapping[Path, Entry]) -> Recorded:
 
 def given_in(sources: Iterable[tuple[EpisodeResult, object]]) -> tuple[str, str]:
     """What the policy received in episodes of intents, and in those of tasks. Each episode comes with its source."""
-    given: dict[bool, list[tuple[str, object]]] = {True: [], False: []}
+    given: dict[bool, dict[str, object]] = {True: {}, False: {}}
     for row, source in sources:
-        given[row.task.startswith(PREFIX)].append((row.given, source))
+        given[row.task.startswith(PREFIX)].setdefault(row.given, source)
     intents, tasks = (
-        common(f"descriptions of {kind}", rows) if rows else ""
-        for kind, rows in zip(("intents", "tasks"), given.values(), strict=True)
+        common(f"descriptions of {kind}", found.items()) if found else ""
+        for kind, found in zip(("intents", "tasks"), given.values(), strict=True)
     )
     return intents, tasks
 
