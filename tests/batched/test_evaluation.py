@@ -110,8 +110,9 @@ def test_settings_that_batches_do_not_support_are_refused(settings: dict[str, An
 
 
 def test_batched_evaluations_cannot_be_entries(approximate: Path, tmp_path: Path) -> None:
-    assert "batched environments" in verify(approximate).unfit[0]
-    assert not verify(approximate).good
+    findings = verify(approximate, jobs=1)
+    assert "batched environments" in findings.unfit[0]
+    assert not findings.good
     with pytest.raises(EvaluationError, match=r"cannot be an entry.*batched environments"):
         submit([approximate], tmp_path / "entry.json.xz")
     assert not (tmp_path / "entry.json.xz").exists()

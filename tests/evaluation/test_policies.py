@@ -377,7 +377,7 @@ def test_another_body_is_played_with_and_named(tmp_path: Path) -> None:
     settings: dict[str, Any] = {"variants": "Demo", "episodes": 1, "jobs": 1, "body": "shortstick"}
     frame = magical_mj.evaluate("expert", tasks="MoveToRegion", out="stick", **settings)
     assert (frame["score"].item(), frame["body"].item()) == (1.0, "shortstick")
-    assert [problem for *_, problem in replay([("", score) for score in read(tmp_path / "stick")])] == [None]
+    assert [problem for *_, problem in replay([("", score) for score in read(tmp_path / "stick")], jobs=1)] == [None]
     assert "| expert with shortstick |" in report([tmp_path / "stick"], tmp_path / "out").read_text()
     with pytest.raises(EvaluationError, match="with the body shortstick"):
         submit([tmp_path / "stick"], tmp_path / "entry.json.xz")

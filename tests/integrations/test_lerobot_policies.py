@@ -67,10 +67,8 @@ OBSERVED = [
 @pytest.mark.parametrize(("options", "preset"), OBSERVED)
 def test_a_checkpoint_is_evaluated_like_any_policy(tmp_path: Path, options: dict[str, Any], preset: str) -> None:
     folder = tiny_checkpoint(tmp_path / "pretrained_model", **options)
-    runs = [
-        magical_mj.evaluate(str(folder), tasks="MoveToRegion", variants="Demo,Layout", episodes=2, preset=preset)
-        for _ in range(2)
-    ]
+    played = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 2, "preset": preset, "jobs": 1}
+    runs = [magical_mj.evaluate(str(folder), **played) for _ in range(2)]
     assert runs[0]["failure"].isna().all()
     assert list(runs[0]["actions"]) == list(runs[1]["actions"])
     assert len(runs[0]) == 4

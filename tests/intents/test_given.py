@@ -229,7 +229,7 @@ def test_entries_with_demonstrations_at_test_say_so_and_have_a_block_of_their_ow
     submit([tmp_path / "run"], path, card=card)
     entry = read_entry(path)
     assert standing(entry).block == "given"
-    (findings,) = check_entries({"entry": entry}, most=None).values()
+    (findings,) = check_entries({"entry": entry}, most=None, jobs=1).values()
     assert findings.episodes == len(entry.episodes) > 0
     assert findings.good
     evaluate(agents.Nearest(), out=tmp_path / "other", control="wrong-demonstrations", **DEMO)

@@ -28,7 +28,7 @@ def test_pages_of_others_are_kept(folder: Path, tmp_path: Path, shell: Shell) ->
     submit([folder], tmp_path / "entries" / "entry.json.xz")
     pages = tmp_path / "out" / "leaderboard"
     for _ in range(2):
-        assert shell("leaderboard", "entries")[0] == 0
+        assert shell("leaderboard", "entries", "--jobs", 1)[0] == 0
     assert [path.name for path in (tmp_path / "entries").iterdir()] == ["entry.json.xz"], (
         "nothing else is written there"
     )
@@ -43,10 +43,10 @@ def test_pages_of_others_are_kept(folder: Path, tmp_path: Path, shell: Shell) ->
 def test_a_sample_is_repeated_by_its_seed(folder: Path, tmp_path: Path, shell: Shell) -> None:
     rewrite(folder, lambda rows: [row.update(score=0.5) for row in rows])
     submit([folder], tmp_path / "entry.json.xz")
-    code, out, error = shell("leaderboard", tmp_path)
+    code, out, error = shell("leaderboard", tmp_path, "--jobs", 1)
     (seed,) = re.findall(r"--seed (\d+) repeats this sample", out)
     assert "entry.json.xz differs: run 0, MoveToRegion Layout" in error
-    assert shell("leaderboard", tmp_path, "--seed", seed)[::2] == (code, error)
+    assert shell("leaderboard", tmp_path, "--seed", seed, "--jobs", 1)[::2] == (code, error)
     assert "only without --all" in shell.fails(2, "leaderboard", tmp_path, "--all", "--seed", seed)
 
 
@@ -63,7 +63,7 @@ def test_the_commands_say_what_they_found(folder: Path, tmp_path: Path, shell: S
     entry = read_entry(tmp_path / "two.json.xz")
     assert (entry.method, entry.runs) == ("Mine", [0])
     rewrite(folder, tampered_score)
-    code, out, error = shell("verify", folder)
+    code, out, error = shell("verify", folder, "--jobs", 1)
     assert code == 1
     assert f"{EPISODES} episodes replayed" in out
     assert f"{folder} differs: run 0, MoveToRegion Layout, seed 2: the score is 0.5" in error
@@ -75,7 +75,9 @@ def test_a_leaderboard_names_bad_entries_and_shows_the_others(folder: Path, tmp_
     assert "holds no entries" in shell.fails(1, "leaderboard", tmp_path)
     entries.mkdir()
     submit([folder], entries / "good.json.xz")
-    assert f"good.json.xz: expert; {EPISODES} episodes replayed" in shell("leaderboard", entries, "--all")[1]
+    assert (
+        f"good.json.xz: expert; {EPISODES} episodes replayed" in shell("leaderboard", entries, "--all", "--jobs", 1)[1]
+    )
     (entries / "twin.json.xz").write_bytes((entries / "good.json.xz").read_bytes())
     (entries / "cut.json.xz").write_bytes((entries / "good.json.xz").read_bytes()[:-20])
     (entries / "folder.json.xz").mkdir()
@@ -83,7 +85,7 @@ def test_a_leaderboard_names_bad_entries_and_shows_the_others(folder: Path, tmp_
     rewrite(folder, tampered_score)
     (tmp_path / "card.toml").write_text('method = "Liar"')
     submit([folder], entries / "lie.json.xz", card=tmp_path / "card.toml")
-    code, _, error = shell("leaderboard", entries, "--all", "--out", tmp_path / "pages")
+    code, _, error = shell("leaderboard", entries, "--all", "--jobs", 1, "--out", tmp_path / "pages")
     assert code == 1
     assert "twin.json.xz is not shown: good.json.xz has a method whose name reads the same" in error
     assert "cut.json.xz is cut short" in error
@@ -109,7 +111,7 @@ def test_names_have_no_hidden_characters(folder: Path, tmp_path: Path) -> None:
 
 
 def test_an_honest_evaluation_replays_and_what_it_lacks_is_said(folder: Path) -> None:
-    findings = verify(folder)
+    findings = verify(folder, jobs=1)
     assert (findings.episodes, findings.differing, findings.unfit, findings.good) == (EPISODES, [], [], False)
     assert "expert, run 0, MoveToRegion Demo: all of the 100 episodes are missing" in findings.missing
     assert "expert, run 0, MoveToRegion Layout: 96, such as seed 4, of the 100 episodes are missing" in findings.missing
@@ -208,4 +210,4 @@ def test_scenes_that_start_solved_are_named(shell: Shell, tmp_path: Path) -> Non
 
 def test_rows_of_older_versions_have_no_scene(folder: Path) -> None:
     rewrite(folder, lambda rows: [row.pop("scene") for row in rows])
-    assert verify(folder).differing == []
+    assert verify(folder, jobs=1).differing == []

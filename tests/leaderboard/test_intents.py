@@ -53,7 +53,7 @@ def entries(folder: Path, tmp_path: Path) -> dict[str, Entry]:
 
 
 def test_an_entry_with_intents_is_replayed_and_says_what_it_lacks(entries: dict[str, Entry]) -> None:
-    findings = check_entries(entries, most=None)
+    findings = check_entries(entries, most=None, jobs=1)
     assert {name: found.episodes for name, found in findings.items()} == {"reader": 12, "expert": 2}
     assert all(found.good for found in findings.values())
     assert "4 of 500 environments of intents" in gaps(entries["reader"])
@@ -64,14 +64,16 @@ def test_a_false_score_of_an_intent_is_found(entries: dict[str, Entry]) -> None:
     entry = entries["reader"]
     false = replace(entry.episodes[0], score=1.0)
     forged = unpacked(packed(structs.replace(entry, episodes=[false])))
-    assert len(check_entries({"forged": forged}, most=None)["forged"].differing) == 1
+    assert len(check_entries({"forged": forged}, most=None, jobs=1)["forged"].differing) == 1
 
 
 def test_only_the_test_sets_have_a_place(entries: dict[str, Entry], tmp_path: Path) -> None:
     evaluate(Reader(), out=tmp_path / "run", tasks="intent:dev/3", variants="Layout", episodes=1)
     with pytest.raises(EvaluationError, match="which is not an environment"):
         submit([tmp_path / "run"], tmp_path / "dev.json.xz")
-    assert "outside the benchmark and the test sets of intents in 1 episode" in verify(tmp_path / "run").unfit[0]
+    assert (
+        "outside the benchmark and the test sets of intents in 1 episode" in verify(tmp_path / "run", jobs=1).unfit[0]
+    )
     other = replace(entries["reader"].episodes[0], task="intent:line(all)")
     with pytest.raises(EvaluationError, match="which is not an environment"):
         unpacked(packed(structs.replace(entries["reader"], episodes=[other])))
@@ -147,9 +149,9 @@ def test_the_interval_of_a_hundred_intents_is_as_wide_as_documented() -> None:
 
 
 def test_a_complete_evaluation_of_intents_is_confirmed(folder: Path) -> None:
-    found = verify(folder / "reader")
+    found = verify(folder / "reader", jobs=1)
     assert (found.episodes, found.good) == (12, True)
-    missing = verify(folder / "expert").missing
+    missing = verify(folder / "expert", jobs=1).missing
     assert len(missing) == 1
     assert missing[0].endswith("All: all of the 2 episodes are missing")
 

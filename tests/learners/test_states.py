@@ -151,8 +151,9 @@ def test_augmentations_move_the_robot_and_shake_what_is_there() -> None:
 def test_a_policy_is_trained_kept_and_evaluated(tmp_path: Path) -> None:
     settings = load_settings("bc", "MoveToRegion", preset="State", device="cpu", **{"bc.batches": 60, "evaluations": 0})
     trained = train(settings, tmp_path / "run")
+    played = {"tasks": "MoveToRegion", "variants": "Demo", "preset": "State", "episodes": 6, "jobs": 1}
     scores = [
-        magical_mj.evaluate(policy, tasks="MoveToRegion", variants="Demo", preset="State", episodes=6)["score"]
+        magical_mj.evaluate(policy, **played)["score"]
         for policy in (trained, Alone(load_policy(tmp_path / "run")), str(tmp_path / "run"))
     ]
     assert scores[0].tolist() == scores[1].tolist() == scores[2].tolist()
