@@ -140,7 +140,7 @@ def test_bfloat16_learns_the_same_within_its_precision() -> None:
 def test_it_can_learn_demonstrations_by_heart() -> None:
     """99 % of what anybody can know: demonstrators did different things where they saw the very same."""
     changes = {"demonstrations": 3, "augment": "none", "network.hidden": 64, "network.channels": 16}
-    changes |= {"network.first_channels": 8, "bc.batch_size": 32, "bc.batches": 250}
+    changes |= {"network.first_channels": 8, "bc.batch_size": 32, "bc.batches": 150}
     learner = BehaviouralCloning(tiny(**changes))
     for _ in range(learner.updates):
         learner.update()
