@@ -93,6 +93,12 @@ BASELINES: Final = {
     "sentence-policy": Baseline("Policy for many intents", "the sentence", "sentence"),
     **rows_of("demonstrations-policy", "Policy for many intents", "demonstrations"),
     **rows_of("pictures", "Intent inference and a learnt skill, from pictures", "pictures"),
+    "pictures-wrong": Baseline(
+        "Intent inference and a learnt skill, from pictures",
+        f"another intent's {in_scenes(4, True)}",
+        "pictures",
+        {**shown(4, contrasting=True), "control": "wrong-demonstrations"},
+    ),
     **rows_of("inference", "Intent inference and a learnt skill", "inference"),
     **rows_of("goals", "Intent inference and a simulator", "magical_goals.policy:InferredGoal"),
     "expert": Baseline("Expert", "the intent", "expert"),

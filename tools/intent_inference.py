@@ -140,6 +140,7 @@ class Reached(NamedTuple):
         chosen: how often it prefers an end that reaches the intent to the ends of rivals, and to random ones.
         solved: how often the end that it searches reaches the intent.
         score: the score of that end.
+        predicted: the score that the network predicts for it.
     """
 
     given: str
@@ -147,6 +148,7 @@ class Reached(NamedTuple):
     chosen: float
     solved: float
     score: float
+    predicted: float
 
 
 @torch.inference_mode()
@@ -160,11 +162,13 @@ def reached(scorer: Scorer, task: Task) -> Iterator[Reached]:
         ends = (torch.from_numpy(resting(each))[None] for each in zip(*pairs, strict=True))
         contexts[f"demonstrations in {kind}"] = scorer.shown(*ends)
     for given, each in contexts.items():
-        ends = searched(scorer, each.expand(len(scenes), -1, -1), initial).numpy()
-        pairs = [(scene, after(scene, end)) for scene, end in zip(scenes, ends, strict=True)]
+        context = each.expand(len(scenes), -1, -1)
+        ends = searched(scorer, context, initial)
+        pairs = [(scene, after(scene, end)) for scene, end in zip(scenes, ends.numpy(), strict=True)]
         found = (
             [choice(scorer, each, one) for one in asked_ends(task)],
             *([measure(*pair) for pair in pairs] for measure in (intent.holds, intent.score)),
+            scorer.scored(scorer.encoded(initial, context), ends).scores.sigmoid().numpy(),
         )
         yield Reached(given, str(task), *(float(np.mean(values)) for values in found))
 
@@ -204,9 +208,9 @@ def learnt() -> str:
         for measure in ("chosen", "solved", "score"):
             gain = estimate([cell(given, measure), cell(one_scene, measure, -1.0)])
             parts += [_text(estimate([cell(given, measure)])), _text(gain) if given in more else ""]
-        rows.append(tuple(parts))
+        rows.append((*parts, _text(estimate([cell(given, "predicted")]))))
     gain = "Gain over one scene"
-    return table(("Given", "Right end chosen", gain, "Solved", gain, "Score", gain), rows)
+    return table(("Given", "Right end chosen", gain, "Solved", gain, "Score", gain, "Predicted score"), rows)
 
 
 def _cell(by_set: Mapping[str, list[Found]], measure: str, weight: float = 1.0) -> Cell:

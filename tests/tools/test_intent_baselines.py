@@ -111,6 +111,7 @@ def test_findings_about_baselines_are_those_of_the_episodes() -> None:
     assert f"it solves {solved} of {len(every[best])} episodes" in page
     assert f"more than from one scene, by {gains['pictures']}" in page
     assert f"moving all blocks does, by {more(best, 'all-blocks')}" in page
+    assert f"with demonstrations of another intent, by {more(best, 'pictures-wrong')}" in page
     assert f"From states the score is higher by {more(states, best)}" in page
     assert f"with the simulator by another {more(several.format('goals'), states)}" in page
     learnt = [one for one in episodes if "-policy" in one.policy]

@@ -1,8 +1,8 @@
 """Samples for the scorer: initial scenes of training intents, and final scenes with their scores, without simulation.
 
 Some final scenes are ends of plans for the intent, others of plans for its rivals: intents that a demonstration in the
-first scene also reaches. The others are what the search asks about: scenes on the way to these ends, and after a move
-of one more object.
+first scene also reaches. The others are what the search asks about: scenes on the way to these ends, perhaps with other
+objects at random places, and after a move of one more object.
 """
 
 from __future__ import annotations
@@ -40,6 +40,8 @@ WAYS: Final = 2
 """The number of scenes on the way to an end. Only the last can be the end itself."""
 TOWARDS: Final = 0.75
 """How often such an end is right, and how often the next object is one that has to move."""
+ASTRAY: Final = (0, 0, 1, 2, 3)
+"""The numbers of other objects at random places in such a scene, with equal probabilities."""
 KEPT: Final = 2
 """The number of moves with the best scores, and of other moves, that are kept in such a scene."""
 MOVED: Final = 0.05
@@ -112,9 +114,12 @@ def _moves(intent: Intent, scene: Scene, goals: list[Floats], rng: np.random.Gen
     brought = rng.permutation(moved)[: int(rng.integers(len(moved) + whole))] if len(moved) else moved
     way = start.copy()
     way[brought] = goal[brought]
+    boxes = np.array([region.box for region in scene.regions], np.float32).reshape(-1, 4)
+    for stray in rng.permutation(np.setdiff1d(np.arange(len(way)), brought))[: int(rng.choice(ASTRAY))].tolist():
+        if elsewhere := places(way, stray, boxes):
+            way[stray] = elsewhere[int(rng.integers(len(elsewhere)))]
     left = np.setdiff1d(moved, brought)
     one = int(rng.choice(left)) if len(left) and rng.random() < TOWARDS else int(rng.integers(len(way)))
-    boxes = np.array([region.box for region in scene.regions], np.float32).reshape(-1, 4)
     found = []
     for place in places(way, one, boxes):
         end = way.copy()

@@ -35,7 +35,7 @@ from magical_mj.utils.errors import TrainingError
 
 NOVICE, SKILL, SIGHT, SCORER = "novice", "skill", "sight", "scorer"
 """The trainings. The novice is a skill that acts in a part of the practice of the final one."""
-UPDATES: Final = {NOVICE: 4000, SKILL: 4000, SIGHT: 2200, SCORER: 600}
+UPDATES: Final = {NOVICE: 4000, SKILL: 4000, SIGHT: 2200, SCORER: 5000}
 PRACTICE: Final = {NOVICE: 17, SKILL: 6}
 """The number of files of practice that each adds."""
 VIEWS: Final = 12
