@@ -55,7 +55,8 @@ def examined(task: Task, *, test: bool = False, left_out: tuple[str, ...] = ()) 
     """The draws and the definition of a task, or why it is not accepted.
 
     An intent needs scenes, and each of its relations must add something. Random placement of its blocks must not
-    satisfy it too often. In test sets, no shortcut must. Scenes whose digests are left out are no further demo scenes.
+    satisfy it too often. In test sets, no shortcut must. Scenes with the digests `left_out` are not used as further
+    demo scenes.
     """
     intent = task.intent
     try:

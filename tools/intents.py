@@ -3,7 +3,7 @@
 python -m tools.intents floors JOBS    writes magical_mj/intents/floors.json and a table in docs/intents-evaluation.md
 python -m tools.intents picture        draws docs/intents.png
 python -m tools.intents leave-out JOBS
-replaces the further demo scenes of test sets in which the expert fails, in magical_mj/intents/sets.jsonl
+replaces the further demo scenes of test sets that the expert cannot solve, in magical_mj/intents/sets.jsonl
 python -m tools.intents demonstrations JOBS
 makes those of the test sets, and writes the file that the package ships; called again, it continues.
 One second of a core each, and minutes for a few of them
@@ -89,7 +89,9 @@ def write_floors(jobs: int) -> None:
         for name in TESTS
     }  # fmt: skip
     FLOORS.write_text(json.dumps(floors, indent=1) + "\n", encoding="utf-8")
-    write_table("floors", floors_table())
+    page = ROOT / "docs" / "intents-evaluation.md"
+    tables = {"floors": floors_table()}
+    page.write_text(filled(page.read_text("utf-8"), tables, "python -m tools.intents floors"), "utf-8")
 
 
 def floors_table() -> str:
@@ -100,12 +102,6 @@ def floors_table() -> str:
         medians = [float(np.median([getattr(draws, value) for draws in members[name]])) for name in TESTS]
         rows.append((text, *(f"{median:.1f}" if value == "moves" else f"{median:.0f}" for median in medians)))
     return table(("Shortcut", *TESTS), rows)
-
-
-def write_table(name: str, content: str) -> None:
-    """Writes a table into docs/intents-evaluation.md. The table is named after the command."""
-    page = ROOT / "docs" / "intents-evaluation.md"
-    page.write_text(filled(page.read_text("utf-8"), {name: content}, f"python -m tools.intents {name}"), "utf-8")
 
 
 # Demonstrations
@@ -119,7 +115,7 @@ class Wanted(NamedTuple):
 
 
 def demonstrable(draws: Draws) -> Draws:
-    """The draws, without further demo scenes in which the expert fails."""
+    """The draws, without further demo scenes that the expert cannot solve."""
     for contrasting in (False, True):
         task = replace(task_of(draws.task), demos=GIVEN, contrasting=contrasting)
         while (failed := _failed(task, draws)) is not None:
@@ -151,7 +147,7 @@ def _solved(task: str, number: int, scene: Scene) -> bool:
 
 
 def leave_out(jobs: int) -> None:
-    """Replaces demo scenes in which the expert fails."""
+    """Replaces the further demo scenes that the expert cannot solve."""
     every = in_sets()
     with ProcessPoolExecutor(jobs) as pool:
         tests = pool.map(demonstrable, (draws for draws in every if draws.set in TESTS))

@@ -33,7 +33,7 @@ class Draws(msgspec.Struct, frozen=True, omit_defaults=True):
         set: the set that it is in.
         cost: the mean cost of plans in Layout and All, in actions; 0 if it is not known.
         moves: the mean number of blocks that these plans move.
-        left_out: the digests of scenes that no further demo scene may be, since the expert fails in them.
+        left_out: the digests of scenes that are not used as further demo scenes, since the expert cannot solve them.
     """
 
     task: str
