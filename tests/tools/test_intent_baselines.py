@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from magical_mj.utils.errors import IntentError
 from tests.helpers.commands import Shell
 from tests.helpers.evaluations import TEMPLATE
 from tools.intent_baselines import BASELINES, EPISODES
+from tools.intent_inference import learnt
 from tools.pages import ROOT
 from tools.stored_episodes import stored
 
@@ -117,6 +119,17 @@ def test_findings_about_baselines_are_those_of_the_episodes() -> None:
     learnt = [one for one in episodes if "-policy" in one.policy]
     assert f"solve {sum(one.score == 1.0 for one in learnt)} of {len(learnt)} episodes" in page
     assert f"four contrasting scenes than from one: by {gains['demonstrations-policy']}" in page
+
+
+def test_scorers_choose_better_from_more_scenes_and_search_no_better() -> None:
+    text = learnt()
+    assert text.strip() in (ROOT / "docs" / "intents-evaluation.md").read_text("utf-8")
+    rows = [line.split("|")[1:-1] for line in text.splitlines() if "four" in line]
+    assert len(rows) == 2
+    for _, _, chosen, *_, score, _ in rows:
+        low, high = map(float, re.findall(r"-?\d\.\d+", score)[1:])
+        assert float(re.findall(r"-?\d\.\d+", chosen)[1]) > 0.0
+        assert low < 0.0 < high
 
 
 def test_members_of_sets_with_other_demo_scenes_are_in_their_set() -> None:
